@@ -24,8 +24,6 @@ from hydro_sim.model.bench import Bench
 SPRING_PARAMETERS = ("spring_stiffness", "spring_rest_position")
 OPTIONAL_PARAMETERS = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
 """Optional parameters of a bench, with their values if not given."""
-_STAND_INS = {"stroke": 5.0, "valve_current_max": 10.0}
-"""Stand-in values that no recording reaches; those of other parameters are the nominal bench's."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,7 +95,8 @@ def parse_bench(content: Mapping[str, Any], estimated: frozenset[str] = frozense
         - estimated
         - (frozenset(SPRING_PARAMETERS) if half_a_spring else frozenset())
     )
-    stand_ins = {**Bench.nominal().to_mapping(), **_STAND_INS, **dict.fromkeys(absent, 1.0)}
+    out_of_reach = {"stroke": 5.0, "valve_current_max": 10.0}  # of any recording
+    stand_ins = {**Bench.nominal().to_mapping(), **out_of_reach, **dict.fromkeys(absent, 1.0)}
     whole = Bench.from_mapping(
         {**{name: stand_ins[name] for name in missing}, **content, **({"spring_stiffness": 1.0} if springless else {})}
     )
@@ -129,13 +128,10 @@ class GuardedBench:
         self._bench, self._unknown = bench, unknown
 
     def __getattr__(self, name: str) -> Any:
-        if name in self._unknown or (name == "valve_gain" and self._unknown & VALVE_PARAMETERS):
+        determining = {"valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop"}
+        if name in self._unknown or (name == "valve_gain" and self._unknown & determining):
             raise UnknownParameterError(name)
         return getattr(self._bench, name)
-
-
-VALVE_PARAMETERS = frozenset({"valve_nominal_flow", "valve_nominal_current", "valve_nominal_pressure_drop"})
-"""Parameters that determine the valve gain."""
 
 
 def guard_unknown(bench: Bench) -> Bench:
@@ -239,10 +235,7 @@ def require_parameters(channels: Collection[str], bench: Bench, estimated: Colle
     if not lacking:
         return
     asked = ", ".join(f"{name} ({Bench.quantities()[name].unit}, {equation})" for name, equation in lacking.items())
-    raise InputError(
-        f"the bench file lacks {asked}: write what is known, leave out channels that it is not needed for, or have a "
-        f"number estimated from the recordings with --estimate {' '.join(lacking)}"
-    )
+    raise InputError(f"the bench file lacks {asked}: write them there, or add --estimate {' '.join(lacking)}")
 
 
 def omission_notes(channels: Collection[str], bench: Bench) -> list[str]:

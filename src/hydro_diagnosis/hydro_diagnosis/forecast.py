@@ -138,7 +138,6 @@ def _forecast(loop: RecordedLoop, problem: Problem, claims: Sequence[EffectHypot
     said += _newtons(recorded) + (f", the corrected simulation says {_newtons(after)}" if causes else "")
     parts = [f"{_newtons(one)} without {label.replace(':', ' ')}" for label, one in without.items()]
     said += f" ({', '.join(parts)})." if len(parts) > 1 else "."
-    said += " Changes of the reference are in these RMSE; tables of settled runs leave them out."
     if misses:
         most = 100.0 * MAX_FORECAST_ERROR
         said += f" The forecast MISSES what was recorded by more than {most:.0f} %: tune no controller on it."
@@ -246,10 +245,7 @@ def _box(
         tried.append((_law_off(channels, followed, scales, box_bench, config, spacing), len(tried), box_bench, config))
     off, _, box_bench, config = min(tried)
     if not off <= MAX_FORECAST_ERROR / 4.0:  # a miss of `MAX_FORECAST_ERROR` is then not due to the law
-        raise ValueError(
-            f"the {law.name.lower()} law with its recorded gains misses the recorded nominal current by "
-            f"{100.0 * off:.0f} %: what closed this loop is not known"
-        )
+        raise ValueError(f"the {law.name.lower()} law misses the recorded nominal current by {100.0 * off:.0f} %")
     return box_bench, config
 
 

@@ -136,7 +136,7 @@ def main() -> int:
         maps.append(list_columns(path.name, found, columns, table, bench))
         said = plausibility_warnings(path, found, maps[-1], bench)
         if columns is None:
-            said += [_advice(maps[-1], chosen.bench), *missing_equations(maps[-1])]
+            said += [_advice(maps[-1]), *missing_equations(maps[-1])]
         said += [*found.notes, *found.broken.values()]
         if columns is None:
             said += unit_mismatches(found, maps[-1], bench)
@@ -157,17 +157,13 @@ def main() -> int:
     return 0
 
 
-def _advice(proposal: ColumnMap, bench: Path | None) -> str:
+def _advice(proposal: ColumnMap) -> str:
     if not proposal.sources:
         return "no column looks like a field: map them by --columns time=NAME,piston_position=NAME,..."
     if not proposal.corrections().sources:
         return "its columns carry the fields' own names: no map is needed"
     if set(proposal.sources) == {"time"}:
-        return (
-            "names and units say nothing of its columns, and they do not fulfil the equations of "
-            + (f"{bench}: " if bench else "the nominal bench: give the rig's numbers by --bench FILE, or ")
-            + f'map them by --columns "{proposal},piston_position=NAME[mm],pressure_a=NAME[bar],..."'
-        )
+        return f'no signal is known by name or unit: map them by --columns "{proposal},piston_position=NAME[mm],..."'
     return f'proposed, to be checked: --columns "{proposal}"'
 
 

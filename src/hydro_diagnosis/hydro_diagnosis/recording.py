@@ -15,7 +15,6 @@ from hydro_core.signals import FloatArray
 
 TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
 RECORDING_SUFFIXES = (*TEXT_SUFFIXES, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
-SPREADSHEET_SUFFIXES = (".xlsx", ".xlsm", ".xls", ".ods")
 LAST_THIRD_NOTE = "the last third of the only recording was held back to check on"
 """Note on a data set of one recording, whose last third is held out."""
 
@@ -29,7 +28,7 @@ def ambiguous_paths(paths: Sequence[str | Path]) -> set[Path]:
 
 def unreadable_reason(path: Path) -> str:
     """Return the reason why a file cannot be read as a recording."""
-    if path.suffix.lower() in SPREADSHEET_SUFFIXES:
+    if path.suffix.lower() in (".xlsx", ".xlsm", ".xls", ".ods"):
         return "a spreadsheet: save its table as CSV"
     return f"not a rosbag2 folder, nor a file .mcap, {', '.join(RECORDING_SUFFIXES)}"
 

@@ -254,8 +254,5 @@ def missing_indication(curve: ForceCurve) -> str:
         follows = force.min() > 0.0 and np.ptp(force) > PRACTICAL_SHARE * force.max()
         return "" if follows else "all motion is one way, and the force does not follow the speed"
     if curve.opposing_share < MIN_OPPOSING_SHARE:
-        return (
-            f"the force opposes the motion in {100.0 * curve.opposing_share:.0f} % of what moves: that of friction "
-            f"does in {100.0 * MIN_OPPOSING_SHARE:.0f} % and more"
-        )
+        return f"the force opposes only {100.0 * curve.opposing_share:.0f} % of the motion"
     return ""

@@ -31,12 +31,9 @@ def compare_reports(bench: Report, simulator: Report) -> Report:
     open_ = {"bench": bench, "simulator": simulator}
     doubtful = [name for name, one in open_.items() if one.verdict in ("unknown", "partly_explained")]
     if doubtful:
-        note += (
-            f"; not all is explained on the {' and in the '.join(doubtful)}: a cause may be there that was not found"
-        )
+        note += f"; not all is explained on the {' and in the '.join(doubtful)}"
     alike = [
-        f"{cause.id} on the bench and {two.id} in the simulator are not compared: one in place of the other would "
-        "explain these recordings as well"
+        f"{cause.id} on the bench and {two.id} in the simulator are not compared: either explains these recordings"
         for cause, two in indistinct(bench.effects, simulator.effects)
     ]
     if unnamed := [name for name, one in open_.items() if one.closures]:

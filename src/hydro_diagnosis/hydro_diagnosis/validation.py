@@ -240,16 +240,15 @@ def holdout_errors(
     equations = equation_errors(holdout, claims)
     rod = any(model.load_cell_at_rod for model in models)
     if rod or not all(model.channels.keys() >= SIMULATION_CHANNELS for model in models) or MOTION not in problem.blocks:
-        why = "a forward simulation needs current, position and both pressures, and the moving mass"
-        why = "a forward simulation needs a law of the load, which was measured here" if rod else why
+        needed = "a law of the load" if rod else "current, position and both pressures, and the moving mass"
+        why = f"a forward simulation needs {needed}"
         return {"holdout": {}, "horizon_s": HORIZON_TIME, "free_run": {}, "why": why, "equations": equations}
     before, after, noise = problem.baseline, (*problem.baseline, *claims), problem.sensor_noise
     horizon = compare(models, before, after, noise, seconds=HORIZON_TIME, windows=48, shooting=True, cache=cache)
     left_out = horizon.left_out
     why = (
-        f"{len(left_out)} of {horizon.windows} held-out windows cannot be predicted: from starts that the sensors "
-        "cannot tell apart the model comes to outcomes as far from one another as from the recording (the piston "
-        "sticks or breaks loose). They are left out of the errors over 70 ms."
+        f"{len(left_out)} of {horizon.windows} held-out windows, in which the piston sticks or breaks loose, cannot be "
+        "predicted: they are left out of the errors over 70 ms."
         if left_out
         else ""
     )

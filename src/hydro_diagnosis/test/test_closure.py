@@ -185,7 +185,7 @@ def test_a_name_that_the_judgement_does_not_claim_is_found_beside_a_law_where_th
     found = best_closure(problem, fit(problem, ()), names)
     assert found is not None
     assert {one.effect.label: dict(one.values) for one in found.fit.claims} == wanted
-    assert found.form == "law" and not found.problem.has_excess(found.fit.residual)
+    assert not found.problem.has_excess(found.fit.residual)
     if effects == (DRY,):  # which leaves its sign in doubt: there, not in the judgement
         assert problem.uncertainty != found.problem.uncertainty
 
@@ -218,7 +218,7 @@ def test_a_law_that_does_not_improve_the_simulation_of_held_out_data_is_refused(
     base = fit(problem, ())
     names: Any = SimpleNamespace(problem=problem, holdout=problem, holdout_report=held(a=10.0), simulations={},
                                  assessment=SimpleNamespace(fit=base))  # fmt: skip
-    monkeypatch.setattr(naming, "best_closure", lambda *_: ClosureFit(base, "law", 1.0, problem))
+    monkeypatch.setattr(naming, "best_closure", lambda *_: ClosureFit(base, 1.0, problem))
     monkeypatch.setattr(naming, "errors_with_closure", lambda *_: held(a=later))
     assert naming._with_laws(names, []) is None
 

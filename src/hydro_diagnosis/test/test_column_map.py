@@ -301,7 +301,7 @@ def test_temperatures_and_flows_are_no_pressures_and_positions(tmp_path: Path, n
     for head in ([brackets], [names, units]):
         path.write_text("\n".join([*map(",".join, head), *rows(values, ",")]))
         assert set(propose_sources(columns_of(path), BENCH).sources) == {"time", "pressure_b"}
-        with pytest.raises(InputError, match="is a temperature, in degC: no field is one"):
+        with pytest.raises(InputError, match="is in degC, pressure_a is a pressure: give a factor"):
             read_table(path, ColumnMap.load(f"time='{head[0][0]}',pressure_a='{head[0][1]}'"))
 
 

@@ -148,7 +148,7 @@ def test_curves_over_the_position_are_those_that_the_simulation_takes() -> None:
 
 def test_what_does_not_oppose_the_motion_is_not_named_and_the_missing_sign_is_told() -> None:
     tank = ForceCurve.over_speed(recorded(lambda x, _v, _a: 300.0 * (x - 0.05), drift=2.0))
-    assert "opposes the motion in" in missing_indication(tank) and curve_shape(tank, 0.0, NAMES) is None
+    assert "the force opposes only" in missing_indication(tank) and curve_shape(tank, 0.0, NAMES) is None
     table = strokes(rubbing())
     table.columns["piston_position"] = 0.02 + 1e-3 * table.time
     assert "hardly a speed" in missing_indication(ForceCurve.over_speed(in_motion(table)))

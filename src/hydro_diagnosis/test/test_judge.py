@@ -142,12 +142,10 @@ COUNT = 5000
 TIME = 5e-3 * np.arange(COUNT)
 
 
-def test_free_form_of_viscous_friction_has_its_place_and_slope() -> None:
+def test_free_form_of_viscous_friction_has_its_place() -> None:
     problem = problem_of(viscous_friction=90.0)
     best = free_forms(problem, fit(problem, ()))[0]
     assert (best.equation, best.variable) == ("motion", "velocity")
-    slope = np.polyfit(best.knots[4:-4], best.values[4:-4], 1)[0]
-    assert abs(slope) == pytest.approx(90.0 - NOMINAL.viscous_friction, rel=0.05)
 
 
 def part(*signals: FloatArray) -> tuple[Layout, FloatArray]:

@@ -58,8 +58,8 @@ def without_numbers(data: pd.DataFrame) -> pd.DataFrame:
 FROZEN, TO_THE_END = "piston_position is frozen in 3001 samples", "piston_position is frozen in 3002 samples"
 DAMAGED: tuple[tuple[str, int, Change], ...] = (
     ("2 missing samples were bridged", 1, lambda data: data.drop(index=[3000, 3001])),
-    ("200 samples are missing after 4.999 s", 2, lambda data: data.drop(index=range(5000, 5200))),
-    ("no number of pressure_a in 401 samples from 4.", 2, without_numbers),
+    ("200 samples are missing, the first after 4.999 s", 2, lambda data: data.drop(index=range(5000, 5200))),
+    ("pressure_a has no number in 401 samples, the first at 4.", 2, without_numbers),
     ("pressure_b is frozen throughout", 1, lambda data: data.assign(pressure_b=5e6)),
     # a frozen encoder: its position comes back; to the end (it stood for two rows more) the force or the speed goes on
     (FROZEN, 2, stands),
@@ -206,7 +206,7 @@ def test_samples_taken_unevenly_are_placed_by_their_stamps(nominal: StateArray) 
     time = nominal["time"][3:-3] + np.random.default_rng(4).uniform(-3e-4, 3e-4, len(nominal) - 6)
     columns = {name: np.interp(time, nominal["time"], nominal[name]) for name in STATE_FIELDS}
     recording = check_recording(RawTable("run", time, None, columns), BENCH)
-    assert any("the samples were taken so" in note for note in recording.quality)
+    assert any("as the samples are: they were interpolated" in note for note in recording.quality)
     channels = recording.segments[0].channels
     assert "valve_current" not in channels
     true = nominal["piston_position"][53:-53]
@@ -251,7 +251,7 @@ def test_held_out_recording_that_shows_nothing_is_replaced_and_listed(worn: list
 def test_copies_are_refused_under_another_name_or_in_another_format_too(worn: list[Path], tmp_path: Path) -> None:
     copy = tmp_path / "wednesday.parquet"
     pd.read_csv(worn[1]).to_parquet(copy)
-    twice, same = "run0 was given twice: what is checked on must not be fitted", "run1 and wednesday hold the same"
+    twice, same = "run0 and run0 hold the same", "run1 and wednesday hold the same"
     for fitted, held, said in ((worn[:2], worn[:1], twice), (worn[:2], [copy], same), ([worn[1], copy], [], same)):
         with pytest.raises(InputError, match=said):
             load_dataset(fitted, held, BENCH)
@@ -329,7 +329,7 @@ def test_windows_of_a_long_bag_are_what_it_holds(
     kept = check_bag(path, BENCH)
     assert len(kept.segments) == 15
     assert sum(one.start >= 40.0 for one in kept.segments) == 5
-    assert "15 windows of 2 s were kept" in kept.quality[-1]
+    assert "the 15 most informative windows of 2 s were kept" in kept.quality[-1]
     long = whole.segments[0]
     for one in kept.segments:
         begin = round((one.start - long.start) / long.step)

@@ -180,7 +180,7 @@ def test_both_explanations_are_told_where_both_fit(runs: list[Channels], tmp_pat
     """A current that is 25 ms early is a dead time of 25 ms: it stays one."""
     prepared = read(written(tmp_path, *runs, change=moved("valve_current", -25)))
     assert prepared.inputs.columns is None
-    assert "early, but were diagnosed as recorded (in a trial of both, " in prepared.wiring
+    assert "early, but were diagnosed as recorded; to have them repaired" in prepared.wiring
     assert 'diagnose with --columns "valve_current=valve_current@-2' in prepared.wiring
 
 

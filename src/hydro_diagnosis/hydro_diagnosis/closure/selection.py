@@ -46,8 +46,6 @@ class ClosureFit:
     """Fit of named causes and unnamed terms, estimated jointly."""
 
     fit: Fit
-    form: str
-    """Form of the terms: law or smooth."""
     gain: float
     """Gain in held-out deviance over the named causes alone."""
     problem: Problem
@@ -71,7 +69,7 @@ def best_closure(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> C
     left = by_law.problem.has_excess(by_law.fit.residual)
     found = by_law
     if not problem.budget.exhausted and (left or by_law.gain <= 0.0):
-        smooth = _by_curve(by_law if left else ClosureFit(base, "smooth", 0.0, problem, screen))
+        smooth = _by_curve(by_law if left else ClosureFit(base, 0.0, problem, screen))
         found = smooth if by_law.gain < (1.0 - PRACTICAL_SHARE) * smooth.gain else by_law
     return found if found.gain > 0.0 else None
 
@@ -99,9 +97,9 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
             weighed = weighed.reweighted(taken.claims)
             current = fit(weighed, taken.claims)
     if _terms(current) == _terms(base):
-        return ClosureFit(base, "law", 0.0, problem, screen)
+        return ClosureFit(base, 0.0, problem, screen)
     current = prune_terms(weighed, _merged(weighed, _exchanged(weighed, current, screen, names), screen))
-    return ClosureFit(current, "law", held_out_gain(weighed, fit(weighed, base.claims), current), weighed, screen)
+    return ClosureFit(current, held_out_gain(weighed, fit(weighed, base.claims), current), weighed, screen)
 
 
 def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -> list[Fit]:
@@ -239,6 +237,6 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
             current, room = better, room - 1
     current = prune_terms(problem, current, keep_named=True)
     if {one.effect.label for one in current.claims} <= {one.effect.label for one in below.fit.claims}:
-        return ClosureFit(below.fit, "smooth", 0.0, problem, screen)  # none that gains enough
+        return ClosureFit(below.fit, 0.0, problem, screen)  # none that gains enough
     gain = below.gain + held_out_gain(problem, below.fit, current)
-    return ClosureFit(current, "smooth", gain, problem, screen)
+    return ClosureFit(current, gain, problem, screen)

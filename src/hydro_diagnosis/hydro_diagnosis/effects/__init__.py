@@ -23,8 +23,7 @@ NOMINAL_BENCH = Bench.nominal()
 _TABLE = [EFFECT_CLASSES.get(kind.effect, Effect)(kind).adapted(NOMINAL_BENCH) for kind in CATALOGUE.values()]
 LIBRARY: tuple[Effect, ...] = tuple(one for one in _TABLE if one.parameters)
 """Effects that can be claimed; several may share an id (chambers, sensors, forms of one cause)."""
-_EXPONENTIAL = Kind(FrictionStribeck, (("form", "exponential"),))
-Stribeck.other_forms = (StribeckExponential(_EXPONENTIAL).adapted(NOMINAL_BENCH),)
+Stribeck.other_forms = (StribeckExponential(Kind(FrictionStribeck, (("form", "exponential"),))).adapted(NOMINAL_BENCH),)
 
 
 class _WideningHoses(Correction):

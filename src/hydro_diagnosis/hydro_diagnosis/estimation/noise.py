@@ -29,6 +29,7 @@ from hydro_diagnosis.preprocessing.smoothing import (
     VELOCITY_NOISE_GAIN,
     white_noise,
 )
+from hydro_diagnosis.recording import MEASURED_CHANNELS
 from hydro_diagnosis.significance import OUTLIER_FACTOR
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
@@ -50,7 +51,7 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     for model in (model for model in models if model.spacing == densest):
         measured = model.segment.measured
         recorded = slice(model.segment.phase, None, model.spacing)
-        signals = {name: model.channels[name] for name in _SENSOR_CHANNELS if name in model.channels}
+        signals = {name: model.channels[name] for name in MEASURED_CHANNELS if name in model.channels}
         if model.has_position and model.has_pressures and "valve_current" in model.channels:
             run = model.chamber_run(())  # without the kinks of pressures and f_h by steps of the current
             signals["pressure_a"], signals["pressure_b"] = run.innovations
@@ -68,7 +69,6 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
     }
 
 
-_SENSOR_CHANNELS = ("hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position")
 NOISE_FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
 """Lower bound [Pa, N] of the residuals' standard deviations, by discretisation (diagnosis.md, "Noise floor")."""
 

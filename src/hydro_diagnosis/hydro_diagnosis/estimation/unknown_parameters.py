@@ -23,9 +23,6 @@ from hydro_diagnosis.recording import InputError, Segment
 from hydro_diagnosis.significance import ITERATIONS
 from hydro_sim.model.bench import Bench
 
-JOINT_EFFECTS = ("friction_coulomb", "friction_viscous", "force_offset", "leakage_internal", "valve_offset")
-"""Causes that are fitted jointly with unknown bench parameters, which would otherwise absorb them."""
-
 
 @cache
 def estimable() -> dict[str, Effect]:
@@ -83,9 +80,10 @@ def _iterate_bench(
 ) -> tuple[Bench, Problem, Fit]:
     """Return bench, problem and fit once the parameters have converged within 1 %."""
     taken = {estimable()[name].id for name in names}
+    joint = ("friction_coulomb", "friction_viscous", "force_offset", "leakage_internal", "valve_offset")
     for _ in range(ITERATIONS):
         problem = Problem(segments, bench, baseline, estimated=estimated_claims(bench, names))
-        others = [one.adapted(bench) for one in LIBRARY if one.label in JOINT_EFFECTS and one.id not in taken]
+        others = [one.adapted(bench) for one in LIBRARY if one.label in joint and one.id not in taken]
         others = [one for one in others if one.blocks & set(problem.blocks)]
         found = fit(
             problem, [EffectHypothesis(one, {each.name: each.neutral for each in one.parameters}) for one in others]

@@ -25,8 +25,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 
+from hydro_core.settings import SettingsError, read_yaml
 from hydro_core.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.columns import UNIT_FACTORS, known, quantity, to_si
 from hydro_diagnosis.recording import InputError
@@ -227,14 +227,9 @@ class ColumnMap:
             return cls({_target(key): source_of(key, value) for key, value in there.items()}, absent)
         if isinstance(given, Path) or (str(given).endswith((".yaml", ".yml")) and "=" not in str(given)):
             try:
-                content = yaml.safe_load(Path(given).read_text(encoding="utf-8"))
-            except (OSError, UnicodeDecodeError) as error:
-                raise InputError(f"{given}: {getattr(error, 'strerror', None) or error}") from None
-            except yaml.YAMLError as error:
-                raise InputError(f"{given}: not YAML: {' '.join(str(error).split())}") from None
-            if not isinstance(content, Mapping):
-                raise InputError(f"{given}: a column map is a mapping of fields to columns")
-            return cls.load(content)
+                return cls.load(read_yaml(given))
+            except SettingsError as error:
+                raise InputError(str(error)) from None
         parts = re.findall(r"""(?:[^,'"]|'[^']*'|"[^"]*")+""", str(given))  # at commas outside of quotes
         pairs = [part.partition("=") for part in parts if part.strip()]
         for left, equals, _ in pairs:

@@ -282,15 +282,9 @@ def merge_parts(parts: Iterable[Columns]) -> Columns:
         found.constants.update(part.constants)
         last = part
     if joined:
-        found.notes.append(
-            f"a header or other words stand among the numbers, or it was stopped and started again, {joined} times: "
-            "what follows was joined by its times"
-        )
+        found.notes.append(f"words stand among its numbers {joined} times: the parts were joined by their times")
     if again:
-        found.notes.append(
-            f"its columns come {again + 1} times and the time begins again: the later parts are columns of their own "
-            "and a map takes one part only; give each part as a file of its own"
-        )
+        found.notes.append(f"the time begins again, {again + 1} times: give each part as a file of its own")
     return found
 
 

@@ -196,8 +196,8 @@ def header_of(lines: list[str], style: Style) -> Header:
     words = [row for row in above if not any(_is_number(cell, ".") for cell in row)]
     if style[:2] == (",", ".") and any(width == 2 * len(row) for row in words):
         raise ValueError(
-            f"line {first + 1} has {width} cells under half as many names: its decimal commas separate columns, too; "
-            "write decimal points, or semicolons between the columns"
+            f"line {first + 1} has {width} cells under half as many names: write decimal points, or semicolons between "
+            "the columns"
         )
     names, units = _names_and_units(above, width, keyed=bool(lead(first)))
     units = [stated(unit) or split_unit(name)[1] for name, unit in zip(names, units, strict=True)]
@@ -349,8 +349,7 @@ def _columns(
         short = next((k for k, width in widths if 0 < width < frame.shape[1]), 0)
         if short:
             raise ValueError(
-                f"line {short} has fewer numbers than the others, and blanks do not say which is missing: write nan in "
-                "its place, or separate the columns by another sign"
+                f"line {short} has fewer numbers than the others: write nan, or separate the columns by another sign"
             )
     for k, name in enumerate(header.names):
         values, bad = numbers_of(frame[k], style.decimal, certain=style.certain)
@@ -358,8 +357,7 @@ def _columns(
             line = next(islice(((begin + i + 1) for i, one in enumerate(lines()) if one.strip()), bad, None), 0)
             found.broken[name] = (
                 f"{str(frame[k][bad])[:40]!r} in line {line} of {name!r} is not a number as the others of its column "
-                "are: write it as they are, without thousands separators, or leave the cell empty where nothing was "
-                "measured"
+                "are: write it as they are, or leave the cell empty"
             )
         numbers.append(values)
         if style.certain or bad is not None or frame[k].dtype != object or found.notes:
@@ -438,10 +436,7 @@ def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
     elif header.step and header.units[times[0]] in UNIT_FACTORS:
         own = float(np.nanmedian(np.diff(columns[times[0]]))) * UNIT_FACTORS[header.units[times[0]]]
         if not 0.99 < own / header.step < 1.01:
-            found.notes.append(
-                f"its header says that rows are {1e3 * header.step:g} ms apart, its times {1e3 * own:g} ms: taken are "
-                "the times"
-            )
+            found.notes.append(f"rows are {1e3 * own:g} ms apart by its times, {1e3 * header.step:g} ms by its header")
     for k, name in enumerate(header.names):
         values, unit = columns[k], header.units[k]
         if k in times and clock and np.array_equal(values, steps, equal_nan=True):

@@ -92,9 +92,8 @@ def leaves_as_columns(leaves: Iterator[TreeLeaf], objects: list[str]) -> Columns
     assign_clocks_of_equal_length(found)
     if objects:
         found.notes.append(
-            f"{', '.join(objects)}: timetables, tables, timeseries and other objects of MATLAB can be read by MATLAB "
-            "only: save the numbers, of a timetable T by `T = timetable2table(T); s.time = seconds(T{:,1} - T{1,1}); "
-            "s.data = T{:,2:end}; save('run.mat', '-struct', 's')`"
+            f"{', '.join(objects)}: objects of MATLAB cannot be read: save their numbers, of a timetable by "
+            "timetable2table"
         )
         if not found.series:
             raise ValueError(found.notes[-1])
@@ -238,9 +237,7 @@ def mdf_columns(path: Path) -> Columns:
             name = part.add(str(signal.name), values, str(signal.unit))
             part.clocks[name] = part.clock(times)
             if invalid.any():
-                part.notes.append(
-                    f"{int(invalid.sum())} of {len(values)} samples of {name!r} are marked as invalid: left out"
-                )
+                part.notes.append(f"{int(invalid.sum())} samples of {name!r} are marked as invalid: left out")
         found = merge_parts(parts.values())
     first: dict[bytes, str] = {}  # groups sampled together share a clock
     same = {clock: first.setdefault(found.series[clock].tobytes(), clock) for clock in found.clocks.values()}
@@ -311,9 +308,7 @@ def tdms_columns(path: Path) -> Columns:
             elif same:
                 found.clocks[name] = same[0]
     if reader.starts and unsaid:
-        found.notes.append(
-            f"{', '.join(unsaid)} does not say when it was started: taken is with the first of the others"
-        )
+        found.notes.append(f"{', '.join(unsaid)} has no start time: taken is that of the first of the others")
     for name in sorted({clock for clock in found.clocks.values() if (series[clock][:1] > 0.0).any()}):
         found.notes.append(f"{name!r} was started {1e3 * series[name][0]:.6g} ms after the first")
     return found

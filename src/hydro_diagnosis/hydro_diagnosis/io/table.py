@@ -10,7 +10,6 @@ the sample that begins there (rows of up to 1 ms: the mean from this row to the 
 from __future__ import annotations
 
 import dataclasses
-import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
@@ -26,9 +25,7 @@ from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
 from hydro_diagnosis.io.columns import (
-    OFFERED_UNITS,
     Columns,
-    known,
     median_step,
     quantity,
     set_day_units,
@@ -111,12 +108,9 @@ def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> So
         return source
     wanted = QUANTITY_OF.get(field, "")
     if wanted and quantity(unit) != wanted:
-        what = f"a {quantity(unit)}, in {unit}" if known(unit) else f"in {unit!r}, which is no unit that is known here"
-        there = "no field is one" if quantity(unit) not in QUANTITY_OF.values() else f"{field} is a {wanted}"
         example = replace(source, steps=(("*", 0.001),))
         raise InputError(
-            f"{source.column!r} is {what}: {there}; a unit or a factor to SI in the map takes its place, such as "
-            f"{field}={replace(source, unit=next(iter(OFFERED_UNITS[wanted])))} or {field}={example}"
+            f"{source.column!r} is in {unit}, {field} is a {wanted}: give a factor to SI, as in {field}={example}"
         )
     if to_si(unit) != 1.0:
         notes.append(f"{field} is in {unit}, as the file says of {source.column!r}")
@@ -167,15 +161,10 @@ def _between_ticks(clock: str, times: FloatArray, notes: list[str]) -> FloatArra
     even: FloatArray = begin + step * np.arange(len(times), dtype=np.float64)
     if not tick or np.any(np.abs(even - times)[first] > 0.5 * tick + step):
         raise InputError(
-            f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms, between which rows are missing, so that it does not "
-            f"say when each was taken: {ROW_INDEX_HINT}"
-            if tick
-            else f"{clock!r} has {len(first)} steps in {len(times)} rows, too few to be the time: {ROW_INDEX_HINT}"
+            f"{clock!r} is too coarse to tell when each row was taken: where the rows are even, count them, as by "
+            "--columns time=row*0.001,... at 1 kHz"
         )
-    notes.append(
-        f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms: its rows were placed {1e3 * step:.4g} ms apart, by "
-        "counting them"
-    )
+    notes.append(f"{clock!r} goes on in ticks of {1e3 * tick:.4g} ms: its rows were placed {1e3 * step:.4g} ms apart")
     return even
 
 
@@ -269,8 +258,6 @@ def read_table(path: str | Path, columns: ColumnMap | None = None) -> RawTable:
     is not found, the available columns.
     """
     path = Path(path)
-    if not exists(path):
-        raise InputError(f"{path}: there is no such recording")
     if is_bag(path) and has_states(path):
         bag = _bag(path)
         steps = np.diff(bag.state["sequence"]).view(np.int32).astype(np.float64)
@@ -321,7 +308,6 @@ def _bag(path: Path) -> Bag:
 
 ROW_COLUMN = "row"
 """Column name by which a map refers to the row index, from 0, unless the file has a column of this name."""
-ROW_INDEX_HINT = "where its rows are even, count them: --columns time=row*0.001,... at 1 kHz"
 
 
 def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
@@ -329,22 +315,14 @@ def table_of(path: Path, found: Columns, columns: ColumnMap | None) -> RawTable:
     chosen = (columns or ColumnMap({})).completed([*found.series, *found.broken])
     there = _names(found)
     if not set(chosen.sources) - {"time"}:
-        lacks, hint = "no column carries the name of a BenchState field", " (`inspect` proposes a map)"
-        if columns is not None:
-            lacks, hint = "the map names no signal beside the time", ""
         raise InputError(
-            f"{path}: {lacks}: map them by --columns time=NAME,piston_position=NAME[mm],...{hint}; there are {there}"
+            f"{path}: no column is mapped to a BenchState field: map them by --columns "
+            f"time=NAME,piston_position=NAME[mm],...; there are {there}"
         )
     if "time" not in chosen.sources and not found.clocks:
-        steps = [name for name in found.constants if re.search(r"(^|[._])(dt|fs|ts|t_?s|f_?s)$", name, re.IGNORECASE)]
-        counted = (
-            f"{ROW_COLUMN}/{steps[0]}"
-            if steps and steps[0][-2].lower() == "f"
-            else f"{ROW_COLUMN}*{steps[0] if steps else 0.001}"
-        )
         raise InputError(
-            f"{path}: no column is the time: name it by time=NAME in --columns, or count the rows where they are even: "
-            f'--columns "time={counted},{chosen}"{"" if steps else " at 1 kHz"}; there are {there}'
+            f"{path}: no column is the time: name it by time=NAME in --columns, or count even rows, as by "
+            f'--columns "time={ROW_COLUMN}*0.001,{chosen}" at 1 kHz; there are {there}'
         )
     if any(source.column == ROW_COLUMN for source in chosen.sources.values()) and ROW_COLUMN not in found.series:
         length = max(len(found.series.get(source.column, ())) for source in chosen.sources.values())

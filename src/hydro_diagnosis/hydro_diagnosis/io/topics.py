@@ -14,9 +14,6 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.recording import InputError
 
-_UNITS = {"sensor_msgs/msg/FluidPressure": ("fluid_pressure", "Pa")}
-"""Field and unit of message types that define one."""
-
 
 def has_states(path: Path) -> bool:
     """Return whether a bag holds /hydro/state. Raises InputError if it cannot be read."""
@@ -57,9 +54,8 @@ def topic_columns(path: Path) -> Columns:
                 found.series[f"{topic}.{name}"] = values
                 found.clocks[f"{topic}.{name}"] = f"{topic}.time"
             found.units[f"{topic}.time"] = "s"
-            field, unit = _UNITS.get(type_name, ("", ""))
-            if field:
-                found.units[f"{topic}.{field}"] = unit
+            if type_name == "sensor_msgs/msg/FluidPressure":
+                found.units[f"{topic}.fluid_pressure"] = "Pa"
     except RecordingError as error:
         raise InputError(str(error)) from None
     if unstamped:

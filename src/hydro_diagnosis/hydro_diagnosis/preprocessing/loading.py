@@ -29,7 +29,6 @@ from hydro_diagnosis.preprocessing.quality import (
     MIN_SEGMENT_TIME,
     MIN_TRAVEL,
     REMEDY,
-    SATURATION_SHARE,
     check_recording,
 )
 from hydro_diagnosis.preprocessing.smoothing import STRIDE, kinematics
@@ -82,7 +81,7 @@ def load_dataset(
             if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= MIN_SEGMENT_TIME):
                 held.append(segment.cut(cut, len(segment)))
     require_equation(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
-    _refuse_too_little(fitted, bench, notes)
+    _refuse_too_little(fitted, notes)
     fitted = _most_informative(fitted, "fitted", bench, quality)
     return fitted, _most_informative(held, "checked on", bench, quality), quality
 
@@ -100,14 +99,10 @@ def _refuse_twice(recordings: list[Recording]) -> None:
     ]
     for (one, first), (other, second) in combinations(zip(recordings, contents, strict=True), 2):
         if first & second:
-            twice, same = f"{one.name} was given twice", f"{one.name} and {other.name} hold the same"
-            raise InputError(
-                f"{twice if one.name == other.name else same}: what is checked on must not be fitted, and nothing "
-                "counts twice"
-            )
+            raise InputError(f"{one.name} and {other.name} hold the same samples: give each recording once")
 
 
-def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
+def _refuse_too_little(segments: list[Segment], notes: list[str]) -> None:
     """Raise UnusableRecordingError for too little motion, of a bench that trips at once: any hypothesis would fit.
 
     `notes`: on discarded data. Motion is counted in blocks of a quarter of a second.
@@ -122,17 +117,9 @@ def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) 
         moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > MIN_TRAVEL / 10.0))
     if moving >= 2.0 * MIN_SEGMENT_TIME:
         return
-    reasons = list(notes)
-    currents = [segment.channels["valve_current"] for segment in segments if "valve_current" in segment.channels]
-    if currents:
-        share = float(np.mean(np.abs(np.concatenate(currents)) >= SATURATION_SHARE * bench.valve_current_max))
-        if share > 0.01:
-            reasons.append(f"the valve current is saturated in {100.0 * share:.0f} % of what is left")
-    why = "; ".join(reasons).replace(f"; {REMEDY}", "")
+    remedy = REMEDY if notes or moving < 0.5 * lasted else "record 20 s of motion or more"
     raise UnusableRecordingError(
-        f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed"
-        + (f" ({why})" if why else "")
-        + (f"; {REMEDY}" if why or moving < 0.5 * lasted else "; record 20 s of motion or more")
+        f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed; {remedy}"
     )
 
 
@@ -183,10 +170,7 @@ def _most_informative(segments: list[Segment], what: str, bench: Bench, quality:
             pieces.append(segment.cut(at, at + length))
             occupancy.add(pieces[-1])
     kept = occupancy.select(int(MAX_DATA_TIME / WINDOW_TIME))
-    quality.append(
-        f"of {total:.0f} s the {len(kept)} windows of {WINDOW_TIME:g} s were {what} which together visit most "
-        "positions, velocities, currents and pressures"
-    )
+    quality.append(f"of {total:.0f} s the {len(kept)} most informative windows of {WINDOW_TIME:g} s were {what}")
     return [pieces[k] for k in kept]
 
 
@@ -194,10 +178,6 @@ def _most_informative(segments: list[Segment], what: str, bench: Bench, quality:
 
 WINDOW_TIME = 10.0
 """Length of a window [s]."""
-_VELOCITY_EDGES = np.array([-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1])
-"""Edges of the velocity bins [m/s]: finer where friction changes most."""
-_CURRENT_EDGES = np.array([-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3])
-"""Edges of the current bins, as shares of the largest current."""
 _UNIFORM_EDGES = np.linspace(0.0, 1.0, 17)[1:-1]
 """Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
 
@@ -217,9 +197,11 @@ class StateOccupancy:
         there: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
         if "piston_position" in channels:
             position, velocity, _ = kinematics(channels["piston_position"], window.step, window.spacing)
-            here = np.digitize(position / bench.stroke, _UNIFORM_EDGES) * 9 + np.digitize(velocity, _VELOCITY_EDGES)
+            edges = [-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1]  # m/s: finer where friction changes most
+            here = np.digitize(position / bench.stroke, _UNIFORM_EDGES) * 9 + np.digitize(velocity, edges)
         if "valve_current" in channels:
-            there = np.digitize(channels["valve_current"] / bench.valve_current_max, _CURRENT_EDGES)
+            edges = [-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3]  # shares of the largest current
+            there = np.digitize(channels["valve_current"] / bench.valve_current_max, edges)
         if {"pressure_a", "pressure_b"} <= channels.keys():
             difference = channels["pressure_a"] - channels["pressure_b"]
             there = there + 9 * np.digitize(0.5 * (1.0 + difference / bench.supply_pressure), _UNIFORM_EDGES)
@@ -440,7 +422,6 @@ def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[
             channels = {name: values.copy() for name, values in kept.channels.items()}
             segments.append(replace(kept, start=start, channels=channels))
     notes.append(
-        f"{recording}: of {seconds:.0f} s {len(segments)} windows of {WINDOW_TIME:g} s were kept, which together visit "
-        "most positions, velocities, currents and pressures; no other sample was judged"
+        f"{recording}: of {seconds:.0f} s the {len(segments)} most informative windows of {WINDOW_TIME:g} s were kept"
     )
     return Recording(recording, tuple(segments), tuple(notes))

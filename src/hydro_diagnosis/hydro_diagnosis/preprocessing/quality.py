@@ -84,10 +84,7 @@ def _stamped(
     if not taken_there:
         notes.append(f"{size}, the samples are even: they were placed by counting rows")
         return columns, step, rows, False
-    notes.append(
-        f"{size}, and the samples were taken so: the sensors were interpolated to even times; when the valve current "
-        "acted is not known to the millisecond, so that the chambers' equations are not checked"
-    )
+    notes.append(f"{size}, as the samples are: they were interpolated, and the chambers' equations are not checked")
     others = {name: values for name, values in columns.items() if name != "valve_current"}
     return others | moved, step, rows, True
 
@@ -168,10 +165,7 @@ is refused. An encoder that repeats its value while the piston moves so far is f
 """
 SATURATION_SHARE = 0.999
 """Share of the largest valve current from which the valve counts as saturated."""
-REMEDY = (
-    "record it with lower gains; if the bench still trips or swings from stop to stop, give the box, not the "
-    "diagnosis, a bench.yaml with a valve_nominal_flow that is 25 % higher or more"
-)
+REMEDY = "record it with lower gains, or give the box a bench.yaml with a larger valve_nominal_flow"
 """Advice for a bench that trips or saturates; with a larger nominal flow the law compensates the velocity in part."""
 
 
@@ -202,13 +196,9 @@ def check_recording(table: RawTable, bench: Bench) -> Recording:
     outside = _outside_equations(columns, bench, notes)
     segments = _segments(table.name, step, index, columns, bad | outside, notes, resampled)
     if not segments:
-        position = columns.get("piston_position", np.zeros(0))
-        stands = len(position) > 0 and float(np.ptp(position[len(position) // 2 :])) < MIN_TRAVEL  # as after a trip
         raise UnusableRecordingError(
             f"{table.name}: the bench moves without a gap for less than {MIN_SEGMENT_TIME:g} s: "
-            "too short to be diagnosed"
-            + (f" ({'; '.join(notes)})" if notes else "")
-            + (f"; {REMEDY}" if outside.any() or stands else "")
+            + "; ".join([*notes, REMEDY if outside.any() else "record 20 s of motion or more"])
         )
     return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in (*table.notes, *notes)))
 
@@ -236,10 +226,9 @@ def _grid(table: RawTable, notes: list[str]) -> tuple[float, Rows]:
         notes.append(f"the time steps back {back} times; the recording is cut there")
     lost = int(np.sum(whole[(whole > 1) & (whole < gap)] - 1))
     if lost:
-        gaps = np.where(whole < gap, whole, 0)
-        most = int(np.argmax(gaps))
-        most_of = "" if gaps[most] > lost else f", {gaps[most] - 1} of them"
-        notes.append(f"{lost} samples are missing{most_of} after {time[most]:.3f} s")
+        notes.append(
+            f"{lost} samples are missing, the first after {time[int(np.argmax((whole > 1) & (whole < gap)))]:.3f} s"
+        )
     whole[whole < 0] = gap
     return step, np.concatenate([[0], np.cumsum(whole)])
 
@@ -257,13 +246,7 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
         if is_known(bench, "stroke") and np.mean(beyond) >= 0.2:
             raise UnusableRecordingError(
                 f"{name}: piston_position runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm, the stroke of the bench "
-                f"from 0 to {1e3 * stroke:.4g} mm: "
-                + (
-                    "write the rig's own in the bench file (--bench), or the column's unit in the map"
-                    if high - low > stroke
-                    else f"its zero is elsewhere; add it in the map, as in --columns piston_position=piston_position"
-                    f"{0.5 * (stroke - low - high):+.3g} (judged by the middle of its travel)"
-                )
+                f"from 0 to {1e3 * stroke:.4g} mm: correct the bench file's stroke, or the column's unit or zero"
             )
     if "valve_current" in columns:
         share = float(np.mean(np.abs(columns["valve_current"]) >= SATURATION_SHARE * bench.valve_current_max))
@@ -276,24 +259,19 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
 def _bad_samples(columns: dict[str, FloatArray], time: FloatArray, step: float, bench: Bench, notes: list[str]) -> Mask:
     """Mask of the samples without a number or with a frozen sensor, (n,)."""
     bad = np.zeros(len(time), dtype=bool)
-    empty: dict[str, list[str]] = {}
     for channel in (name for name in columns if name in (*MEASURED_CHANNELS, "valve_current")):
         values = columns[channel]
         missing = ~np.isfinite(values)
         bad |= missing
         if missing.any():
-            count, first = int(missing.sum()), int(np.argmax(missing))
-            ends = first == len(time) - 1
-            where = "in the last row: the file ends within it" if ends else f"from {time[first]:.3f} s on"
-            samples = f"in {count} samples " if count > 1 else ""
-            empty.setdefault(f"{samples}{where}", []).append(channel)
+            first = time[int(np.argmax(missing))]
+            notes.append(f"{channel} has no number in {int(missing.sum())} samples, the first at {first:.3f} s")
         if channel == "valve_current":
             continue  # a command, which may be constant
         frozen = frozen_encoder(columns, step, bench) if channel == "piston_position" else repeated_values(values)
         bad |= frozen
         if frozen.any():
             notes.append(f"{channel} is frozen in {int(frozen.sum())} samples; the recording is cut there")
-    notes += [f"no number of {', '.join(channels)} {where}" for where, channels in empty.items()]
     return bad
 
 
@@ -356,8 +334,7 @@ def _segments(
         notes.append(
             f"{rate}: of every {round(SAMPLE_PERIOD / step)} rows that at the box's millisecond was taken"
             if segments[0].half_rows is None
-            else f"{rate}, not the box's {1.0 / SAMPLE_PERIOD:.4g} Hz: what happens between two rows is not known; "
-            "nothing is claimed that half of the rows would not show too"
+            else f"{rate}: nothing is claimed that half of the rows would not show too"
         )
     if still:
         notes.append(f"{still} samples in which the piston stands still were not used")

@@ -60,18 +60,13 @@ def corrected_yaml(bench: Bench) -> str:
 
 
 def claims_of(bench: Bench) -> tuple[EffectHypothesis, ...]:
-    """Claims for the effects and closures of a corrected bench.
-
-    Raises ValueError if an effect is unknown or lacks a parameter.
-    """
+    """Claims for the effects and closures of a corrected bench. Raises ValueError if an effect is unknown."""
     claims = []
     for entry in bench.effects:
         options = {key: value for key, value in entry.items() if key not in ("id", "parameters")}
         effect = next((one for one in LIBRARY if one.id == entry["id"] and dict(one.options) == options), None)
         if effect is None:
             raise ValueError(f"effect {entry['id']!r} with {options} is not known to the diagnosis")
-        given, names = entry.get("parameters", {}), [one.name for one in effect.parameters]
-        if missing := [name for name in names if name not in given]:
-            raise ValueError(f"effect {effect.id} lacks its parameter {missing[0]!r}")
-        claims.append(EffectHypothesis(effect.adapted(bench), {name: float(given[name]) for name in names}))
+        values = {one.name: float(entry["parameters"][one.name]) for one in effect.parameters}
+        claims.append(EffectHypothesis(effect.adapted(bench), values))
     return (*claims, *(EffectHypothesis(*from_mapping(entry, bench)) for entry in bench.closures))

@@ -37,14 +37,9 @@ class FreeForm:
     """Free-form hidden input: a piecewise linear function of one variable that acts in one equation."""
 
     equation: str
-    sensor: str
-    """The channel, if the equation is `sensor`."""
     variable: str
     gain: float
     """Evidence [BIC]: gain in deviance less ln(n) per knot."""
-    knots: FloatArray
-    values: FloatArray
-    """The input at the knots: m3/s for the chambers, N for motion and load, A for actuation, the sensor's unit else."""
 
 
 _INPUTS = (
@@ -75,7 +70,7 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     variables += ["current"] if "valve_current" in have else []
     variables += ["pressure_a", "pressure_b", "pressure_difference"] if {"pressure_a", "pressure_b"} <= have else []
     for variable in variables:
-        knots, hats = _hats(problem, variable)
+        hats = _hats(problem, variable)
         for equation, sensor, size in inputs:
             shown = [_response(way, equation, sensor, size * own) for way, own in zip(ways, hats, strict=True)]
             inputs_shown = np.zeros((len(left), len(hats[0])))
@@ -87,7 +82,7 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
             amounts = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True) @ (scaled.T @ -left) / lengths
             reached = problem.deviance((left + columns @ amounts) / weight)
             gain = base - reached - len(hats[0]) * float(np.log(len(left)))
-            forms.append(FreeForm(equation, sensor, variable, gain, knots, amounts[: len(knots)] * size))
+            forms.append(FreeForm(equation, variable, gain))
     return sorted(forms, key=lambda form: -form.gain)
 
 
@@ -119,8 +114,8 @@ def _response(way: Responses, equation: str, sensor: str, hidden: FloatArray) ->
     return way.restrict_to_blocks({sensor: way.smooth(passed), "hydraulic": area * means})
 
 
-def _hats(problem: Problem, variable: str) -> tuple[FloatArray, list[FloatArray]]:
-    """Knots, and the basis functions along each segment, shape (functions, n); of time they act in one segment each."""
+def _hats(problem: Problem, variable: str) -> list[FloatArray]:
+    """Basis functions along each segment, shape (functions, n); those of time act in one segment each."""
     values = np.concatenate([model.variable(variable)[model.settle :] for model in problem.models])
     if variable in ("velocity", "current"):  # denser around zero, where friction and valve are most nonlinear
         knots = np.unique(np.quantile(values, np.linspace(0.0, 1.0, KNOTS)))
@@ -132,7 +127,7 @@ def _hats(problem: Problem, variable: str) -> tuple[FloatArray, list[FloatArray]
         if variable == "time":
             own = np.concatenate([own * (at == k) for at in range(len(problem.models))])
         found.append(own)
-    return knots, found
+    return found
 
 
 @dataclass(frozen=True)

@@ -41,8 +41,6 @@ PHYSICAL_DELAYS = {
     "hydraulic_force": (-0.02, 0.02), "pressure_a": (-0.02, 0.02), "pressure_b": (-0.02, 0.02),
 }  # fmt: skip
 """Range of each channel's delay [s] (negative: early) that valve, play or an amplifier explain: causes, no mistakes."""
-TRIAL_SETTINGS = SearchSettings(effort=1500)
-"""Search settings for the comparison of wiring hypotheses."""
 RepairedDiagnosis: TypeAlias = "tuple[tuple[Repair, ...], PreparedDiagnosis]"
 """Repairs, and the prepared diagnosis of the repaired recordings."""
 
@@ -198,13 +196,11 @@ def prepare_best_wiring(inputs: DiagnosisInput, progress: ProgressCallback) -> P
     """
     inspection = PlausibilityCheck()
     prepared: PreparedDiagnosis | None = None
-    refusal = ""
     try:
         prepared = inputs.prepare(progress, inspection)
-    except InputError as error:
+    except InputError:
         if inputs.as_wired or not inspection.doubts:
             raise
-        refusal = str(error)
     if prepared is not None and inputs.as_wired:
         return prepared
     if prepared is not None and not (inspection.doubts or prepared.problem.has_excess(prepared.problem.residual(()))):
@@ -227,10 +223,8 @@ def prepare_best_wiring(inputs: DiagnosisInput, progress: ProgressCallback) -> P
         ]
     if not repairs:
         return other
-    if any(repair.reassigned_to == "" for repair in repairs):
-        refusal = "no two sensors have the same noise"
-    if prepared is None or refusal:
-        return replace(other, wiring=_repair_note(repairs, other.inputs, f"as recorded: {refusal.split(' (')[0]}"))
+    if prepared is None or any(repair.reassigned_to == "" for repair in repairs):
+        return replace(other, wiring=_repair_note(repairs, other.inputs))
     return _choose(prepared, _searched(prepared, progress), repairs, other, progress)
 
 
@@ -311,7 +305,7 @@ def _repaired(inputs: DiagnosisInput, repairs: Sequence[Repair], units: Mapping[
 def _searched(prepared: PreparedDiagnosis, progress: ProgressCallback) -> WiringFit:
     """Residuals after a small search for causes."""
     with threadpool_limits(1, "blas"):
-        found = Search(prepared.problem, prepared.candidates, TRIAL_SETTINGS, progress).run()
+        found = Search(prepared.problem, prepared.candidates, SearchSettings(effort=1500), progress).run()
     holdout = found.problem.for_segments(prepared.held_out).reweighted(found.fit.claims)
     return _wiring_fit(found.problem, holdout, found.fit.claims)
 
@@ -349,26 +343,19 @@ def _choose(
     clearer = min(log_gain(here.fitted, there.fitted), log_gain(here.held_out, there.held_out))
     estimated = sum(bool(repair.delay or repair.offset) for repair in repairs)
     simpler = there.parameter_count + estimated < here.parameter_count
-    recorded, repaired = (
-        float(np.sqrt(sum(squares) / sum(counts))) for squares, counts in (here.held_out, there.held_out)
-    )
-    both = (
-        f"in a trial of both, {recorded:.3g} times the noise was left on what was held out as recorded, "
-        f"{repaired:.3g} times as repaired"
-    )
     if clearer >= DECISIVE_LOG_RATIO or (clearer > -TIE_LOG_RATIO and simpler):
-        return replace(other, wiring=_repair_note(repairs, other.inputs, both))
+        return replace(other, wiring=_repair_note(repairs, other.inputs))
     note = (
-        f"the recordings look as if {_words(repairs)}, but were diagnosed as recorded ({both}); if it is a mistake of "
-        f'wiring all the same, diagnose with --columns "{other.inputs.columns}"'
+        f"the recordings look as if {_words(repairs)}, but were diagnosed as recorded; to have them repaired, "
+        f'diagnose with --columns "{other.inputs.columns}"'
     )
     return replace(prepared, wiring=note)
 
 
-def _repair_note(repairs: Sequence[Repair], inputs: DiagnosisInput, beside: str) -> str:
+def _repair_note(repairs: Sequence[Repair], inputs: DiagnosisInput) -> str:
     return (
-        f'{_words(repairs)}: the recordings were diagnosed as repaired by --columns "{inputs.columns}" ({beside}); '
-        "correct it at the rig or in the logger, or keep that map; --as-wired takes them as recorded"
+        f'{_words(repairs)}: the recordings were diagnosed as repaired by --columns "{inputs.columns}"; --as-wired '
+        "takes them as recorded"
     )
 
 

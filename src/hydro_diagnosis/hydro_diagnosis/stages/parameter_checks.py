@@ -95,12 +95,6 @@ def _alike(
     return alike
 
 
-RATIO_EFFECTS = (
-    "piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure", "valve_gain",
-)  # fmt: skip
-"""Effects that scale a parameter of the bench file by a ratio."""
-
-
 def confirmation_note(
     problem: Problem, found: Fit, bounds: Sequence[Interval], library: Sequence[Effect], hidden: str = ""
 ) -> str:
@@ -112,9 +106,11 @@ def confirmation_note(
     weight = problem.weight(found.residual)
     columns, left = found.jacobian * weight[:, None], found.residual * weight
     inflation, said = max((one.inflation for one in bounds), default=1.0), []
+    scaled = {"piston_area", "area_ratio", "spring_stiffness", "bulk_modulus", "dead_volume", "supply_pressure",
+              "valve_gain"}  # fmt: skip
     for effect in eligible_effects(library, found.claims, problem.blocks):
         name = _plain(effect)
-        if effect.id not in RATIO_EFFECTS or f"{name} within" in hidden:
+        if effect.id not in scaled or f"{name} within" in hidden:
             continue
         (ratio,) = effect.parameters
         signature = (

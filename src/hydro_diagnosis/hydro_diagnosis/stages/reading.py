@@ -148,13 +148,11 @@ class DiagnosisInput:
         limits = [f"--without {' '.join(self.without)}: these causes were not tried"] if self.without else []
         limits += [*omission_notes(channels, starting), *quality]
         if rings := problem.aliased_resonance:  # which the load cell hardly shows
-            candidates = [
-                one for one in candidates if one.id not in RESONANCE_CAUSES or one.lagged_channel == "load_force"
-            ]
+            causes = {"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"}
+            candidates = [one for one in candidates if one.id not in causes or one.lagged_channel == "load_force"]
             limits.append(
-                f"the mass rings on the oil at {rings:.3g} Hz, which rows this slow show as something slower: so no "
-                "cause is sought in the oil's stiffness, the moving mass and the lags of sensors, and what remains is "
-                f"given no law; record at {math.ceil(2.0 * rings)} Hz or more"
+                f"the mass rings on the oil at {rings:.3g} Hz, too fast for these rows, so that no cause of it is "
+                f"sought: record at {math.ceil(2.0 * rings)} Hz or more"
             )
         if HYDRAULIC not in problem.blocks:  # without pressures the force cell's errors are not identifiable
             cell = {"load_cell_gain:hydraulic_force", "load_cell_bias:hydraulic_force"}
@@ -199,12 +197,6 @@ class PreparedDiagnosis:
     """Unit of a field's column before conversion to SI, if stated."""
     wiring: str = ""
     """Note on the wiring hypothesis taken, as recorded or repaired, if a mistake is suspected; else empty."""
-
-
-RESONANCE_CAUSES = frozenset(
-    {"bulk_modulus", "dead_volume", "entrained_air", "hoses_that_widen", "moving_mass", "sensor_lag"}
-)
-"""Causes that change the resonance of the mass on the oil, or its measurement."""
 
 
 def _machine_scales(problem: Problem) -> MachineScales | None:
