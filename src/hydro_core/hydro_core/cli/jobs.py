@@ -15,7 +15,6 @@ import argparse
 import json
 import os
 import sys
-from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
 from logging import CRITICAL
@@ -31,14 +30,14 @@ from hydro_core.errors import UserError, is_user_error, user_message
 JobArguments = Mapping[str, tuple[Any, ...]]
 """Arguments of each job, by its name."""
 JobResults = Generator[tuple[str, Any, Exception | None], None, None]
+WORKER_DEATHS_MAX = 3
+"""Worker processes that one job may kill before it counts as failed."""
 DASK_SETTINGS = {
-    "distributed.scheduler.allowed-failures": 0,
+    "distributed.scheduler.allowed-failures": WORKER_DEATHS_MAX - 1,
+    "distributed.scheduler.worker-saturation": 1.0,  # a worker has one job: no other dies with it
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1},
 }
 """Dask settings, without its MALLOC_TRIM_THRESHOLD_, by which large arrays cost four times the processor time."""
-
-WORKER_DEATHS_MAX = 3
-"""Worker processes that one job may kill before it counts as failed."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -124,23 +123,13 @@ def _on_dask(
             client.wait_for_workers(1, timeout=600.0)  # a cluster's queue may delay the first
         except (OSError, ValueError) as error:
             raise UserError(f"no scheduler with workers answers at {scheduler}: {error}") from error
-        waiting, sent, deaths, done = deque(missing), dict[str, str](), Counter[str](), as_completed()
+        names = {client.submit(function, *values, pure=False): name for name, values in missing.items()}
         try:
-            while waiting or sent:
-                while waiting and len(sent) < max(1, sum(client.nthreads().values())):
-                    name = waiting.popleft()
-                    future = client.submit(function, *missing[name], pure=False)
-                    sent[future.key] = name
-                    done.add(future)
-                future = next(done)
-                name, failure = sent.pop(future.key), future.exception()
-                if isinstance(failure, KilledWorker):  # by this job: a worker has one at a time
-                    deaths[name] += 1
-                    if deaths[name] < WORKER_DEATHS_MAX:
-                        waiting.append(name)
-                        continue
+            for future in as_completed(names):
+                failure = future.exception()
+                if isinstance(failure, KilledWorker):
                     failure = UserError("it killed each process that did it: it may need more memory than a worker has")
-                yield name, None if failure else future.result(), failure
+                yield names[future], None if failure else future.result(), failure
                 future.release()  # its worker need not keep the result
         except (OSError, CancelledError) as error:
             if scheduler is None:

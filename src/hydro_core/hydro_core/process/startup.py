@@ -31,18 +31,6 @@ def missing_middleware() -> str:
     return f"RMW_IMPLEMENTATION is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
 
 
-def copied_workspace() -> str:
-    """Return an error message if the sourced workspace is a copy that links to the original's code; else empty."""
-    here = Path(__file__).resolve()
-    sourced = next(
-        (prefix.resolve() for prefix in _prefixes() if prefix.name == "hydro_core" and prefix.is_dir()), here
-    )
-    workspace = sourced.parent.parent
-    if workspace in here.parents:
-        return ""
-    return f"{workspace} was copied and still runs the code of {here.parents[4]}: run `make setup` in it first"
-
-
 def _prefixes() -> list[Path]:
     return [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
@@ -66,7 +54,7 @@ class LazyMain:
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
         try:
-            if trouble := copied_workspace() or missing_middleware():
+            if trouble := missing_middleware():
                 raise UserError(trouble)
             status: int | None = import_module(self._module).main()
             return status
