@@ -15,6 +15,7 @@ import argparse
 import json
 import os
 import sys
+from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import ExitStack, closing
 from logging import CRITICAL
@@ -33,8 +34,7 @@ JobResults = Generator[tuple[str, Any, Exception | None], None, None]
 WORKER_DEATHS_MAX = 3
 """Worker processes that one job may kill before it counts as failed."""
 DASK_SETTINGS = {
-    "distributed.scheduler.allowed-failures": WORKER_DEATHS_MAX - 1,
-    "distributed.scheduler.worker-saturation": 1.0,  # a worker has one job: no other dies with it
+    "distributed.scheduler.allowed-failures": 0,
     "distributed.nanny.pre-spawn-environ": {"OMP_NUM_THREADS": 1, "MKL_NUM_THREADS": 1, "OPENBLAS_NUM_THREADS": 1},
 }
 """Dask settings, without its MALLOC_TRIM_THRESHOLD_, by which large arrays cost four times the processor time."""
@@ -123,14 +123,30 @@ def _on_dask(
             client.wait_for_workers(1, timeout=600.0)  # a cluster's queue may delay the first
         except (OSError, ValueError) as error:
             raise UserError(f"no scheduler with workers answers at {scheduler}: {error}") from error
-        names = {client.submit(function, *values, pure=False): name for name, values in missing.items()}
+        waiting, sent, deaths, done = deque(missing), dict[str, str](), Counter[str](), as_completed()
+
+        def send() -> None:
+            """Send a job for each idle worker: if one is killed, it was by its only job."""
+            while waiting and len(sent) < max(1, sum(client.nthreads().values())):
+                future = client.submit(function, *missing[waiting[0]], pure=False)
+                sent[future.key] = waiting.popleft()
+                done.add(future)
+
         try:
-            for future in as_completed(names):
-                failure = future.exception()
-                if isinstance(failure, KilledWorker):
-                    failure = UserError("it killed each process that did it: it may need more memory than a worker has")
-                yield names[future], None if failure else future.result(), failure
+            send()
+            for future in done:
+                name, failure = sent.pop(future.key), future.exception()
+                value = None if failure else future.result()
                 future.release()  # its worker need not keep the result
+                if isinstance(failure, KilledWorker):
+                    deaths[name] += 1
+                    if deaths[name] < WORKER_DEATHS_MAX:
+                        waiting.append(name)
+                        send()
+                        continue
+                    failure = UserError("it killed each process that did it: it may need more memory than a worker has")
+                send()
+                yield name, value, failure
         except (OSError, CancelledError) as error:
             if scheduler is None:
                 raise
