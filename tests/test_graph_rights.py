@@ -62,7 +62,7 @@ def check(*executables: str, without: Mapping[str, set[str]] | None = None, time
             end = min(end, time.monotonic() + SETTLED)
         time.sleep(0.2)
         for name, namespace, enclave in looker.get_node_names_and_namespaces_with_enclaves():
-            if name == "looker":
+            if name == "looker" or enclave in ("", "/"):  # not known yet; no executable's
                 continue
             does = seen.setdefault(enclave, {}).setdefault(name, {kind: set() for kind in QUERIES})
             for kind, ask in QUERIES.items():

@@ -48,7 +48,7 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
         ("--bench @corrected.yaml", "has effects, it is a model: name the bench.yaml of the box"),
     ),
-    "hydro_bridge recorder": (("--out @bag", "exists already; a recording is never overwritten"),),
+    "hydro_bridge recorder": (("--out @bag", "bag exists already: name a new folder"),),
     "hydro_filter filter": (
         ("--bench @own.yaml", f"the model learned_bench.yaml {FOREIGN}"),
         ("--bench @own.yaml --model @own_model.yaml", f"the metric default_metric.safetensors {FOREIGN}"),

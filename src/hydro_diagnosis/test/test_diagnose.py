@@ -141,7 +141,6 @@ def test_interrupt_leaves_nothing_behind(worn: list[Path], tmp_path: Path) -> No
     ended = ran(sys.executable, "-c", INTERRUPTED_RUN, *worn[:2], "--out", tmp_path / "out", timeout=60)
     assert ended.returncode == 130, ended.stderr
     assert "Traceback" not in ended.stderr and not (tmp_path / "out").exists()
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["report.json"]
 
 
 def test_no_mismatch(valid: Callable[[Any], Any], nominal: StateArray, tmp_path: Path) -> None:

@@ -16,10 +16,8 @@ import pytest
 from mcap.reader import make_reader
 
 from hydro_bridge.bags.recording import BagWriter, stream_bag
-from hydro_core.cli.console import Table
 from hydro_core.signals import STATE_FIELDS, StateArray, Waveform
 from hydro_diagnosis.estimation.problem import Problem
-from hydro_diagnosis.inspect_command import COLUMNS, list_columns
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
 from hydro_diagnosis.preprocessing import loading
@@ -306,18 +304,6 @@ def test_one_damaged_block_is_a_gap_and_a_note(chunk: int, minute: tuple[Path, R
     assert found.quality[0] == "run.mcap: run.mcap is damaged: 1 of its blocks could not be read"
     assert minute[1].seconds - 8.0 < found.seconds < minute[1].seconds - 0.5
     assert columns_of(path).notes[0] in found.quality[0]
-
-
-def test_a_thinned_bag_is_listed_as_the_whole_one(minute: tuple[Path, Recording]) -> None:
-    path, rows = minute[0], []
-    whole, thin = columns_of(path), columns_of(path, 7_000)
-    for name, values in whole.series.items():
-        np.testing.assert_array_equal(thin.series[name], values[::8])
-    for found in (whole, thin):
-        list_columns(path, found, None, table := Table(COLUMNS), BENCH)
-        rows.append(table.rows)
-    for one, other in zip(*rows, strict=True):
-        assert other == {**one, "shape": other["shape"], "rate": pytest.approx(one["rate"], rel=1e-3)}
 
 
 def test_windows_of_a_long_bag_are_what_it_holds(

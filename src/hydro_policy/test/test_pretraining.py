@@ -63,5 +63,7 @@ def test_command_trains_on_a_bench_with_hidden_states_and_writes_agent_policy_an
     assert [row["episode"] for row in json.loads(table.read_text())["rows"]] == ["fixed (90, 15)", "2"]
     again = pretrain("--out", run)
     assert again.returncode == 2 and "holds a run already" in again.stderr
-    done = pretrain("--resume", run, *words)
+    told_again = pretrain("--resume", run, *words)
+    assert told_again.returncode == 2 and "leave out --model" in told_again.stderr
+    done = pretrain("--resume", run, "--episodes", "2")
     assert done.returncode == 0, done.stderr
