@@ -18,8 +18,9 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_parameters import EQUATION_REQUIREMENTS, read_bench
 from hydro_diagnosis.column_matching import as_yaml, propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap, Source
-from hydro_diagnosis.io.columns import Columns, is_time, quantity, split_unit, to_si
+from hydro_diagnosis.io.columns import Columns, is_time
 from hydro_diagnosis.io.table import columns_of, table_of
+from hydro_diagnosis.io.units import quantity, split_unit, to_si
 from hydro_diagnosis.recording import InputError
 from hydro_diagnosis.wiring import check_plausibility
 from hydro_sim.model.bench import Bench
@@ -137,7 +138,7 @@ def main() -> int:
         said = plausibility_warnings(path, found, maps[-1], bench)
         if columns is None:
             said += [_advice(maps[-1]), *missing_equations(maps[-1])]
-        said += [*found.notes, *found.broken.values()]
+        said += [*found.notes, *found.broken.values(), *found.unsure.values()]
         if columns is None:
             said += unit_mismatches(found, maps[-1], bench)
         remarks += [f"{path.name}: {sentence}" for sentence in said]
@@ -190,7 +191,7 @@ def unit_mismatches(found: Columns, proposal: ColumnMap, bench: Bench) -> list[s
     )
     return [
         f"{name!r} may be the {field}, but is in {found.unit(name)}: give a factor to SI, as in "
-        f"{field}={Source(name, (('*', 0.001),))}"
+        f"{field}={Source(name, factor=0.001)}"
         for field, name in likely.items()
         if field not in proposal.sources and field != "time"
     ]

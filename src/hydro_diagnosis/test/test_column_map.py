@@ -4,21 +4,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
-import h5py
 import numpy as np
 import pandas as pd
 import pytest
 from scipy.io import savemat
 
 from hydro_core.signals import FloatArray, StateArray
+from hydro_diagnosis.bench_parameters import parse_bench
 from hydro_diagnosis.column_matching import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import UNIT_FACTORS, Columns
+from hydro_diagnosis.io.columns import Columns
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table
+from hydro_diagnosis.io.units import UNIT_FACTORS
 from hydro_diagnosis.recording import InputError
 from hydro_sim.model.bench import Bench
 
@@ -105,8 +105,28 @@ def test_two_forces_are_told_apart_by_what_they_act_on(hydraulic: str, load: str
     assert (sources["hydraulic_force"].column, sources["load_force"].column) == (hydraulic, load)
 
 
+def test_references_stay_references_beside_the_signals() -> None:
+    """Names of a scope of a crane; its valve command is relative, from -1 to 1."""
+    time = 1e-2 * np.arange(1500)
+    place = 0.03 + 0.02 * np.sin(time)
+    speed, names = np.gradient(place, time), ("MainXRef", "MainPistonPosition", "MainXDotRef", "MainPistonVelocity")
+    series = {"t": time, **dict(zip(names, (place + 1e-3, place, speed, speed), strict=True))}
+    series |= {"JibXDotRef": 1.3 * speed, "MainU": 8.0 * speed}
+    found = {field: one.column for field, one in propose_sources(Columns(series), BENCH).sources.items()}
+    assert found == {"time": "t", "piston_position": "MainPistonPosition", "piston_velocity": "MainPistonVelocity",
+                     "valve_current": "MainU"}  # fmt: skip
+
+
+@pytest.mark.parametrize("bench", [BENCH, parse_bench({"moving_mass": 1.0}, frozenset())])
+def test_lone_force_of_a_damper_is_no_force_of_a_spring(bench: Bench) -> None:
+    time = 1e-2 * np.arange(3000)
+    place = 0.04 + 0.01 * np.sin(time * (1.0 + 0.1 * time))
+    load = 300.0 * np.sign(np.gradient(place))
+    proposed = propose_sources(Columns({"t": time, "Stroke": place, "Load": load}), bench).sources
+    assert proposed["hydraulic_force"].column == "Load" and "load_force" not in proposed
+
+
 FIELDS = ("piston_position", "pressure_a", "pressure_b", "load_force", "valve_current", "reference_force")
-NUMBERED = ("pressure_b", "piston_position", "load_force", "pressure_a", "valve_current", "hydraulic_force")
 USUAL = ["s", "mm", "bar", "bar", "N", "mA", "N"]
 
 
@@ -135,12 +155,6 @@ flags,0,1,1,1,1,1,1
 min,0,-1000.0,-1000.0,-1000.0,-1000.0,-1000.0,-1000.0"""
     lines = rows(columns(states), ",")
     return [head, f"trace_values,{lines[0]}", *(f",{line}" for line in lines[1:])]
-
-
-def numbered(states: StateArray) -> list[str]:
-    """Channels without names: units alone, and what the numbers are to each other."""
-    units = ["s", "bar", "mm", "kN", "bar", "mA", "kN"]
-    return ["CH0\tCH1\tCH2\tCH3\tCH4\tCH5\tCH6", "\t".join(units), *rows(columns(states, units, NUMBERED), "\t")]
 
 
 def twin_cat(states: StateArray) -> list[str]:
@@ -205,7 +219,7 @@ def times_of_day(states: StateArray) -> list[str]:
 
 
 EXPORTS = {
-    control_desk: ("csv", "cp949"), numbered: ("csv", "utf-8"), twin_cat: ("csv", "utf-8"), lab_view: ("lvm", "utf-8"),
+    control_desk: ("csv", "cp949"), twin_cat: ("csv", "utf-8"), lab_view: ("lvm", "utf-8"),
     inca: ("ascii", "cp1252"), mts: ("dat", "utf-8"), times_of_day: ("csv", "utf-8"),
 }  # fmt: skip
 """Writers of texts, the ending of their files and their encoding."""
@@ -219,10 +233,9 @@ def test_the_map_that_inspect_proposes_reads_an_export_as_the_bench_was(
     path = tmp_path / f"run.{ending}"
     path.write_text("\n".join(write(states)), encoding=encoding, newline="\r\n")
     found = read_table(path, propose_sources(columns_of(path), BENCH))
-    expected = NUMBERED if write is numbered else FIELDS
-    assert set(found.columns) == set(expected)
+    assert set(found.columns) == set(FIELDS)
     np.testing.assert_allclose(np.diff(found.time), 1e-3, atol=1e-9)
-    for field in expected:
+    for field in FIELDS:
         np.testing.assert_allclose(found.columns[field], states[field], rtol=1e-9, atol=1e-12, err_msg=field)
 
 
@@ -237,57 +250,6 @@ def test_times_of_twelve_hours_go_on_over_a_cell_without_one_and_a_header_among_
     told = np.isfinite(time)
     assert told.sum() == 59
     np.testing.assert_allclose((time - force)[told], 43180.25, rtol=0.0, atol=1e-9)
-
-
-def test_a_matrix_without_names_is_mapped_by_the_bench_s_equations(tmp_path: Path, nominal: StateArray) -> None:
-    """In MATLAB's two formats, in any order and with any sensor but the pressures left out."""
-    everything = ["load_force", "pressure_b", "valve_current", "hydraulic_force", "piston_position", "pressure_a",
-                  "reference_force"]  # fmt: skip
-    cases = (
-        (everything, ["s", "N", "bar", "mA", "N", "mm", "bar", "N"]),
-        (everything[::-1], ["s", "N", "Pa", "m", "kN", "A", "Pa", "kN"]),
-        ([field for field in everything if field != "hydraulic_force"], ["ms", "N", "MPa", "mA", "mm", "MPa", "N"]),
-        (everything[1:], ["s", "bar", "mA", "N", "mm", "bar", "N"]),
-    )
-    old, new = tmp_path / "old.mat", tmp_path / "new.mat"
-    for fields, units in cases:
-        matrix = np.column_stack(columns(nominal, units, fields))
-        savemat(old, {"data": matrix})
-        with h5py.File(new, "w", userblock_size=512) as content:
-            content.create_dataset("data", data=matrix.T)
-        for path in (old, new):
-            found = read_table(path, propose_sources(columns_of(path), BENCH))
-            assert set(found.columns) == set(fields)
-            for field in fields:
-                np.testing.assert_allclose(found.columns[field], nominal[field], rtol=1e-9, atol=1e-12, err_msg=field)
-    larger = replace(BENCH, piston_area=2.0 * BENCH.piston_area)
-    proposed = propose_sources(columns_of(new), larger).sources
-    assert set(proposed) == {"time"}, "another bench's numbers fulfil no equation"
-
-
-def test_a_double_rod_without_names_is_mapped_though_one_pressure_falls_as_the_other_rises() -> None:
-    """No hydraulic force; the load cell is 4 % off and has noise, the reference leads it by 24 ms and has none."""
-    bench = replace(BENCH, piston_area=8e-4, area_ratio=1.0, spring_stiffness=60e3, stroke=0.16)
-    time, noise = 2e-3 * np.arange(6000), np.random.default_rng(1).normal(size=(6, 6000))
-
-    def force(at: FloatArray) -> FloatArray:
-        return np.asarray(900.0 * np.sin(5.0 * at) + 500.0 * np.sin(17.0 * at))
-
-    rate = np.gradient(force(time), time)
-    pushed = (force(time) + 45.0 * np.sign(rate)) / (2.0 * bench.piston_area * 1e5)
-    series = {
-        "c1": 1e3 * time, "c2": 1e-3 * (1.04 * force(time) + 2.0 * noise[0]), "c3": 1e-3 * force(time + 0.024),
-        "c4": 60.0 + pushed + 0.1 * noise[1], "c5": 60.0 - pushed + 0.1 * noise[2],
-        "c6": 40.0 + force(time) / 60.0 + 1e-3 * noise[3], "c7": 1e-3 * rate + 0.01 * noise[4],
-        "c8": 41.0 + 0.03 * time + 0.05 * noise[5],
-    }  # fmt: skip
-    units = {"time": "ms", "load_force": "kN", "reference_force": "kN", "pressure_a": "bar", "pressure_b": "bar",
-             "piston_position": "mm", "valve_current": "mA"}  # fmt: skip
-    with_units = [f"{name} [{unit}]" for name, unit in zip(series, (*units.values(), "°C"), strict=True)]
-    for names in (list(series), with_units):
-        found = propose_sources(Columns(dict(zip(names, series.values(), strict=True))), bench).sources
-        assert {field: source.column for field, source in found.items()} == dict(zip(units, names, strict=False))
-        assert {field: source.unit for field, source in found.items()} == units
 
 
 def test_temperatures_and_flows_are_no_pressures_and_positions(tmp_path: Path, nominal: StateArray) -> None:

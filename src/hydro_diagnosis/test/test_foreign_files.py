@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+import gzip
 import re
+import resource
 import struct
+import zipfile
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from io import BytesIO, TextIOWrapper
@@ -22,6 +25,7 @@ from hydro_diagnosis import inspect_command
 from hydro_diagnosis.column_matching import propose_sources
 from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.io.columns import Columns
+from hydro_diagnosis.io.raster import own_rows
 from hydro_diagnosis.io.table import RawTable, columns_of, read_table, table_of
 from hydro_diagnosis.preprocessing.loading import load_dataset
 from hydro_diagnosis.preprocessing.quality import check_recording
@@ -88,7 +92,7 @@ TEXT_SUFFIXES: dict[str, tuple[str, dict[str, FloatArray]]] = {
     "German thousands": (europe(german(BIG)), {"load_force": BIG}),
     "Swiss thousands": (table(T, quoted(BIG, "'.")), {"load_force": BIG}),
     "narrow spaces": (europe(quoted(BIG, "\u202f,")), {"load_force": BIG}),
-    "Indian groups": (table(T, [f'"1,23,{400 + k % 99}.5"' for k in K]), {"load_force": 123400.5 + K % 99}),
+    "Indian groups": (table(T, [f'"1,23,{400 + k % 99}.5"' for k in K]), {"hydraulic_force": 123400.5 + K % 99}),
     "whole thousands in a German file": (europe(german(np.round(BIG), "{:,.0f}")), {"load_force": np.round(BIG)}),
     "points among decimal commas": (europe([f"{one:.6f}" for one in F]), {"load_force": F}),
     "true minus signs": (table(T, [f"{one:.6f}".replace("-", "\u2212") for one in F]), {"load_force": F}),
@@ -391,3 +395,185 @@ def test_a_channel_that_was_dropped_for_its_clock_is_named_with_the_clock_that_k
     assert advice is not None
     kept = read_table(path, ColumnMap.load(text.replace("a.time", advice[1]))).columns["piston_position"]
     np.testing.assert_allclose(kept, 0.04 + 0.012 * np.sin(6.0 * slow))
+
+
+ROWS = table().splitlines()
+LATER = lines("load_force [kN],time,piston_position [mm]", 1e-3 * F, T, X, form="{:.9f}").splitlines()
+NAMED = [ROWS[0].replace("force", "force [N]"), *ROWS[1:]]
+ODD: dict[str, tuple[list[str], int, str]] = {
+    "401 remarks": ([*ROWS[:201], *[f"# event {k}" for k in range(401)], *ROWS[201:]], N,
+                    "401 lines hold words: their neighbours were joined .from line 202 on: '# event 0'"),
+    "words in as many cells": ([*ROWS[:201], "pump,off,again", *ROWS[201:]], N, "1 lines hold words.*line 202"),
+    "other columns and units": ([*NAMED[:201], LATER[0], *LATER[201:]], N, "goes on in kN: it was converted to N"),
+    "a column more in the second part": (
+        [*ROWS[:201], f"new,{ROWS[0]}", *[f"7,{row}" for row in ROWS[201:]]], N, "new: in some of the parts only"),
+    "remarks between all rows": (
+        [ROWS[0], *[line for row in ROWS[1:] for line in (row, "# one, two")]], N, "400 lines hold"),
+    "longer rows": ([*ROWS[:201], *[f"{row},7" for row in ROWS[201:211]], *ROWS[211:]], N - 10,
+                    "10 lines have more cells than the 3 of their header.*from line 202 on"),
+    "a quote that stays open": ([*ROWS[:201], ROWS[201].replace(",", ',"', 1), *ROWS[202:]], N - 1,
+                                "1 lines open a quote that nothing closes.*line 202"),
+    "a huge cell": ([f"{row},{'y' * 140_000 if k == 9 else ''}" for k, row in enumerate(ROWS)], N, ""),
+    "line breaks in names": (["# run 1", '"time\n[s]","load_force\n\n[N]","piston_position\n[mm]"', *ROWS[1:]], N, ""),
+}  # fmt: skip
+"""Lines of a text, rows that are read, and the note."""
+
+
+@pytest.mark.parametrize("case", ODD)
+def test_every_line_of_a_text_is_read_or_counted_and_named(case: str, tmp_path: Path) -> None:
+    text, count, said = ODD[case]
+    (tmp_path / "run.csv").write_text("\n".join(text) + "\n")
+    found = as_proposed(tmp_path / "run.csv")
+    rows = np.rint(1e3 * found.time).astype(int)
+    assert len(rows) == count and re.search(said, "; ".join(found.notes))
+    np.testing.assert_allclose(found.columns["load_force"], F[rows], atol=1e-5)
+    np.testing.assert_allclose(found.columns["piston_position"], 1e-3 * X[rows], atol=1e-8)
+
+
+LONG = 1e-3 * np.arange(6000)
+NOISY = np.random.default_rng(3).normal(size=6000) + 900.0 * np.sin(9.0 * LONG)
+
+
+@pytest.mark.parametrize("every", [2, 5, 20])
+@pytest.mark.parametrize("fill", ["held", "straight lines", "rows alone"])
+def test_values_filled_in_between_samples_are_not_samples(every: int, fill: str, tmp_path: Path) -> None:
+    """A slower position goes on by a spline, or sets the rows of all; a slower cell is left out, with what keeps it."""
+    at = np.arange(6000) // every * every
+    filled = {"held": lambda one: one[at], "straight lines": lambda one: np.interp(LONG, LONG[::every], one[::every]),
+              "rows alone": lambda one: np.where(at == np.arange(6000), one, np.nan)}[fill]  # fmt: skip
+    place = 0.04 + 1e-5 * NOISY
+    for field in ("piston_position", "load_force"):
+        columns = {"time": LONG, "piston_position": place, "load_force": NOISY, "hydraulic_force": NOISY[::-1]}
+        columns[field] = filled(columns[field])
+        frame = pd.DataFrame(columns).drop(index=range(3001, 3009))  # lost
+        frame.round(9).to_csv(tmp_path / "run.csv", index=False)
+        found = as_proposed(tmp_path / "run.csv")
+        assert any(note.startswith(f"{field} ") and "own" in note for note in found.notes)
+        if field == "load_force":
+            assert field not in found.columns
+            advice = (
+                next(note for note in found.notes if "--columns" in note).split("--columns ")[1].split(" brings")[0]
+            )
+            text = f"{advice},piston_position=piston_position,load_force=load_force"
+            found = read_table(tmp_path / "run.csv", ColumnMap.load(text))
+        rows = np.rint(1e3 * found.time).astype(int)
+        splined = field == "piston_position" and every <= 10
+        assert len(rows) > 0.95 * 6000 / (1 if splined else every) and (splined or np.all(rows % every == 0))
+        np.testing.assert_allclose(found.columns["load_force"], NOISY[rows], atol=1e-6)
+        own = rows % every == 0
+        np.testing.assert_allclose(found.columns["piston_position"][own], place[rows[own]], atol=1e-8)
+
+
+def test_scales_and_missing_values_that_a_file_states_are_applied_or_asked_for(tmp_path: Path) -> None:
+    counts = np.rint(10.0 * F).astype(np.int16)
+    counts[5] = -32768
+    with h5py.File(tmp_path / "run.h5", "w") as file:
+        file["time"], file["load_force"], file["hydraulic_force"] = T, counts, F
+        file["load_force"].attrs.update({"scale_factor": 0.1, "add_offset": 3.0, "_FillValue": np.int16(-32768)})
+        file["hydraulic_force"].attrs["gain"] = 2.0
+    with pytest.raises(InputError, match=r"states 'gain' = 2.*hydraulic_force='hydraulic_force'\[UNIT\]\*2 if not"):
+        read_table(tmp_path / "run.h5")
+    found = read_table(tmp_path / "run.h5", ColumnMap.load("hydraulic_force=hydraulic_force[N]*2")).columns
+    np.testing.assert_allclose(found["hydraulic_force"], 2.0 * F)
+    np.testing.assert_allclose(found["load_force"], np.where(K == 5, np.nan, 0.1 * counts + 3.0))
+    channel = ChannelObject("a", "load_force", F, properties={
+        "wf_increment": 1e-3, "NI_Number_Of_Scales": 1, "NI_Scale[0]_Scale_Type": "Quadratic"})  # fmt: skip
+    with TdmsWriter(tmp_path / "run.tdms") as writer:
+        writer.write_segment([channel])
+    with pytest.raises(InputError, match="is to be scaled by 'Quadratic', which npTDMS does not"):
+        read_table(tmp_path / "run.tdms")
+
+
+def test_a_text_among_the_values_of_an_mdf_channel_costs_these_alone(tmp_path: Path) -> None:
+    from asammdf import MDF, Signal
+
+    raw, conversion = np.arange(N, dtype=np.uint16), {"val_0": 7, "text_0": b"SNA", "default": b""}
+    with MDF(version="4.10") as file:
+        file.append([Signal(raw, T, name="load_force", unit="N", conversion=conversion)])
+        file.save(tmp_path / "run.mf4")
+    (tmp_path / "run.mf4").rename(tmp_path / "run.csv")  # by its first bytes
+    found = read_table(tmp_path / "run.csv", ColumnMap.load("load_force=load_force"))
+    np.testing.assert_array_equal(found.columns["load_force"], np.where(K == 7, np.nan, K))
+    assert any("1 samples of 'load_force' are texts ('SNA')" in note for note in found.notes)
+
+
+def test_a_struct_array_of_matlab_is_named_by_its_texts(tmp_path: Path) -> None:
+    signals = [{"name": "load_force", "data": F, "unit": "N"}, {"name": "t", "data": T, "unit": "s"}]
+    with h5py.File(tmp_path / "v73.mat", "w", userblock_size=512) as file:
+        for key in ("name", "data", "unit"):
+            values = [one[key] for one in signals]
+            parts = [[*map(ord, one)] if isinstance(one, str) else one for one in values]
+            kinds = [("char", np.uint16) if isinstance(one, str) else ("double", float) for one in values]
+            for k, (part, (kind, dtype)) in enumerate(zip(parts, kinds, strict=True)):
+                file[f"#refs#/{key}{k}"] = np.array(part, dtype=dtype)[None, :]
+                file[f"#refs#/{key}{k}"].attrs["MATLAB_class"] = np.bytes_(kind)
+            refs = np.array([[file[f"#refs#/{key}{k}"].ref] for k in range(2)], dtype=h5py.ref_dtype)
+            file.create_dataset(f"sig/{key}", data=refs)
+    savemat(tmp_path / "v7.mat", {"sig": np.array(signals, dtype=object)})
+    for name in ("v73", "v7"):
+        holds(as_proposed(tmp_path / f"{name}.mat"), {"time": T, "load_force": F})
+
+
+def test_the_same_start_in_every_segment_of_a_tdms_file_is_no_restart(tmp_path: Path) -> None:
+    said = {"wf_start_time": np.datetime64("2024-05-01T10:00:00", "us"), "wf_increment": 1e-3}
+    with TdmsWriter(tmp_path / "run.tdms") as writer:
+        for begin in range(0, N, 100):
+            writer.write_segment([ChannelObject("a", "load_force", F[begin : begin + 100], properties=said)])
+    holds(read_table(tmp_path / "run.tdms", ColumnMap.load("load_force=load_force")), {"time": T, "load_force": F})
+
+
+def bomb(path: Path) -> None:
+    with gzip.open(path, "wb") as file:
+        for _ in range(200):
+            file.write(b"0.001,0\n" * 131072)
+
+
+def declared(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        for name in ("time", "load_force"):
+            file.create_dataset(name, shape=(2_000_000_000,), chunks=(1000,), dtype="f8")
+        file["load_force"][0] = 1.0
+
+
+def zipped(path: Path, *names: str) -> None:
+    with zipfile.ZipFile(path, "w") as archive:
+        for name in names:
+            archive.writestr(name, table())
+
+
+OTHERS: dict[str, tuple[Callable[[Path], object], str]] = {
+    "a.csv.gz": (bomb, "more than half of the free memory"),
+    "b.h5": (declared, "more than half of the free memory"),
+    "c.raw": (lambda path: path.write_bytes(b"|CF,2,1,1;|CK,1,3,1,1;" + bytes(99)), "imc FAMOS: export it from FAMOS"),
+    "d.tdm": (lambda path: path.write_text('<?xml version="1.0"?>\n<usi:tdm version="1.0">'), "DIAdem.*as TDMS"),
+    "e.csv": (lambda path: zipped(path, "xl/workbook.xml"), "a spreadsheet: save its table as CSV"),
+    "f.zip": (lambda path: zipped(path, "a.csv", "b.csv"), "holds 2 files, not one"),
+    "g.bin": (lambda path: path.write_bytes(bytes(range(256)) * 9), "no format that is read here: export it as"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_what_unpacks_to_too_much_or_is_of_another_format_is_one_sentence(name: str, tmp_path: Path) -> None:
+    write, said = OTHERS[name]
+    write(tmp_path / name)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(InputError, match=said) as raised:
+        read_table(tmp_path / name)
+    assert "\n" not in str(raised.value)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 300e3  # kB
+
+
+def test_packed_files_are_read_by_what_is_in_them(tmp_path: Path) -> None:
+    zipped(tmp_path / "run.zip", "there/run.csv")
+    (tmp_path / "run.gz").write_bytes(gzip.compress(table().encode()))
+    (tmp_path / "run.mat").write_text(table())
+    for name in ("run.zip", "run.gz", "run.mat"):
+        holds(as_proposed(tmp_path / name), {"time": T, "load_force": F} | PLACE)
+
+
+def test_a_command_of_few_steps_or_ramps_is_no_slower_channel() -> None:
+    time = 1e-3 * np.arange(12_000)
+    steps = 50.0 * np.sign(np.sin(0.5 * np.pi * time + 0.1))
+    ramps = np.clip(100.0 * np.sin(0.5 * np.pi * np.rint(10.0 * time) / 10.0), -50.0, 50.0)
+    straight = np.interp(time, time[::500], ramps[::500])
+    assert [len(own_rows(time, one)[0]) for one in (steps, straight)] == [0, 0]

@@ -16,7 +16,6 @@ from websockets.sync.client import ClientConnection, connect
 
 from hydro_core.signals import StateArray
 from hydro_diagnosis.import_page import serve_imports
-from hydro_diagnosis.pipeline import diagnose
 from hydro_sim.model.bench import Bench
 from tests import browser
 
@@ -26,7 +25,7 @@ FIELDS = {"x": ("piston_position", 1e3), "pa": ("pressure_a", 1e-5), "pb": ("pre
 
 @pytest.fixture
 def address() -> Iterator[str]:
-    server = serve_imports(0, diagnose, Bench.nominal())
+    server = serve_imports(0)
     yield f"127.0.0.1:{server.port}"
     server.close()
 

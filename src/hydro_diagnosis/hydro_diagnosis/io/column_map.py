@@ -6,9 +6,9 @@
     time=t,piston_position=pos[mm],hydraulic_force=vir*gtau,pressure_a=pa[bar]+1,load_force=0
 
 Left of `=`: `time` or a BenchState field. Right: a column; its unit in brackets, if neither SI nor stated by the file;
-operations `*`, `/`, `+` or `-` with a number or a named scalar of the file, applied from left to right in that unit;
-`@` and the column's delay (`fl@20ms`). A number alone is a constant, `none` omits the field. A YAML file holds the
-same, one line per field, or the keys column, unit, scale, offset, delay.
+operations `*`, `/`, `+` or `-` with numbers, or first `*`, `/` with a named scalar of the file, applied from left to
+right in that unit; `@` and the column's delay (`fl@20ms`). A number alone is a constant, `none` omits the field. A YAML
+file holds the same, one line per field, or the keys column, unit, scale, offset, delay.
 
 A map without `time` extends the default map: columns named as BenchState fields, at the times that the file states.
 """
@@ -20,7 +20,6 @@ import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from math import isfinite
-from operator import add, mul, sub, truediv
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +27,7 @@ import numpy as np
 
 from hydro_core.settings import SettingsError, read_yaml
 from hydro_core.signals import STATE_FIELDS, FloatArray
-from hydro_diagnosis.io.columns import UNIT_FACTORS, known, quantity, to_si
+from hydro_diagnosis.io.units import UNIT_FACTORS, known, quantity, to_si
 from hydro_diagnosis.recording import InputError
 
 _SOURCE_PATTERN = re.compile(
@@ -45,54 +44,55 @@ _BARE_NAME_PATTERN = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
 
 @dataclass(frozen=True)
 class Source:
-    """Source of a BenchState field: a column with operations, unit and delay, or a constant."""
+    """Source of a BenchState field: a column with unit, factor, offset and delay, or a constant."""
 
     column: str
-    """Name in the file; empty for a constant."""
-    steps: tuple[tuple[str, float | str], ...] = ()
-    """Operations in order: a sign (*, /, +, -), and a number or the name of a scalar in the file."""
+    """Name in the file; empty for a constant, which is the offset."""
     unit: str = ""
-    """Unit of the column, SI if empty; converted to SI after the steps."""
+    """Unit of the column, SI if empty; converted to SI behind factor and offset."""
+    factor: float = 1.0
+    offset: float = 0.0
+    """In that unit."""
     delay: float = 0.0
     """Delay [s] of the column relative to the others: its value at time t was measured at t - delay."""
+    scalars: tuple[tuple[str, str], ...] = ()
+    """Further factors: a sign (*, /), and the name of a scalar in the file."""
 
     @property
     def plain(self) -> bool:
-        """Whether the map states neither operations nor a unit for the column, so that the file's unit applies."""
-        return bool(self.column) and not self.steps and not self.unit
+        """Whether the map states nothing of the column's size, so that the file's unit applies."""
+        return bool(self.column) and (self.unit, self.factor, self.offset, self.scalars) == ("", 1.0, 0.0, ())
 
     def __str__(self) -> str:
         """Source in the syntax of a short map."""
         if not self.column:
-            return f"{sum(float(number) for _, number in self.steps):g}"
+            return f"{self.offset:g}"
         quoted = self.column if _BARE_NAME_PATTERN.fullmatch(self.column) else f"'{self.column}'"
         if "'" in self.column:
             quoted = f'"{self.column}"'
         unit = f"[{self.unit}]" if self.unit else ""
-        steps = "".join(
-            f"{sign}{number:.9g}" if isinstance(number, float) else f"{sign}{number}" for sign, number in self.steps
-        )
+        scalars = "".join(map("".join, self.scalars))
+        factor = f"*{self.factor:.9g}" if self.factor != 1.0 else ""
+        offset = f"{self.offset:+.9g}" if self.offset else ""
         late = f"@{self.delay * 1e3:.9g}ms" if self.delay else ""
-        return f"{quoted}{unit}{steps}{late}"
+        return f"{quoted}{unit}{scalars}{factor}{offset}{late}"
 
     def of(self, columns: Mapping[str, FloatArray], constants: Mapping[str, float], length: int) -> FloatArray:
         """Values of the field in SI units: the column's, shape (n,), or of a constant, shape (length,).
 
-        Raises InputError if the file lacks the column, or a scalar named in the steps; the message lists what it has.
+        Raises InputError if the file lacks the column, or a scalar of the source; the message lists what it has.
         """
-        if not self.column:
-            values: FloatArray = np.zeros(length)
-        elif self.column in columns:
-            values = columns[self.column]
-        else:
+        if self.column and self.column not in columns:
             raise InputError(f"there is no column named {self.column!r}{_instead(self.column, columns)}")
-        for sign, number in self.steps:
-            if isinstance(number, str) and number not in constants:
-                raise InputError(f"there is no single number named {number!r}{_instead(number, constants)}")
-            by = constants[number] if isinstance(number, str) else number
-            values = _OPERATIONS[sign](values, by)
-        if self.unit:
-            values = values * to_si(self.unit)
+        values = columns[self.column] if self.column else np.zeros(length)
+        factor = self.factor
+        for sign, name in self.scalars:
+            if name not in constants:
+                raise InputError(f"there is no single number named {name!r}{_instead(name, constants)}")
+            factor = factor * constants[name] if sign == "*" else factor / constants[name]
+        values = values * factor if factor != 1.0 else values
+        values = values + self.offset if self.offset else values
+        values = values * to_si(self.unit) if self.unit else values
         return np.ascontiguousarray(values, dtype=np.float64)
 
 
@@ -105,7 +105,7 @@ def source_of(field: str, value: Any) -> Source:
             raise InputError("columns: the time cannot be a constant")
         if not isfinite(number):
             raise InputError(f"columns: {field} = {number} is not a finite number")
-        return Source("", (("+", number),))
+        return Source("", offset=number)
     column, unit, steps, delay = _of_words(field, value) if isinstance(value, Mapping) else _of_text(field, value)
     if unit is not None and not known(unit):
         raise InputError(
@@ -114,11 +114,24 @@ def source_of(field: str, value: Any) -> Source:
     wanted, unit = QUANTITY_OF.get(field, ""), known(unit or "")
     if unit and wanted and quantity(unit) != wanted and not any(sign in "*/" for sign, _ in steps):
         raise InputError(f"columns: {field} is a {wanted}, {unit} is a unit of {quantity(unit)}: give a factor to SI")
-    return Source(column, tuple(steps), unit, delay)
+    factor, offset, scalars = 1.0, 0.0, list[tuple[str, str]]()
+    for sign, by in steps:
+        if isinstance(by, str) and (sign in "+-" or offset):
+            raise InputError(f"columns: {field}: {by!r} is no number: what the file names multiplies, before any sum")
+        if isinstance(by, str):
+            scalars.append((sign, by))
+        elif sign in "*/":
+            by = by if sign == "*" else 1.0 / by if by else np.nan
+            factor, offset = factor * by, offset * by
+        else:
+            offset += by if sign == "+" else -by
+    if not isfinite(factor) or not isfinite(offset):
+        raise InputError(f"columns: {field}: its factor or offset is not a finite number")
+    return Source(column, unit, factor, offset, delay, tuple(scalars))
 
 
 _SourceParts = tuple[str, str | None, list[tuple[str, float | str]], float]
-"""Column, unit, steps, delay [s]."""
+"""Column, unit, operations, delay [s]."""
 
 
 def _of_words(field: str, words: Mapping[str, Any]) -> _SourceParts:
@@ -170,7 +183,6 @@ def _instead(name: str, there: Iterable[str]) -> str:
     return f"{hint}; there are {listed}" if names else "; there are none"
 
 
-_OPERATIONS = {"*": mul, "/": truediv, "+": add, "-": sub}
 TARGETS = ("time", *STATE_FIELDS)
 """Targets of a column: `time` and the BenchState fields."""
 QUANTITY_OF = {

@@ -1,158 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of a file: their names and units, parsed by pint and by spellings of loggers, and their sampling clocks."""
+"""Columns of a file: series by name, their units and clocks, and the parts of which a recording may consist."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
 from itertools import count, takewhile
 from operator import eq
-from typing import Any
 
 import numpy as np
 
 from hydro_core.signals import FloatArray
-
-OFFERED_UNITS: dict[str, dict[str, float]] = {
-    "time": {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "d": 86400.0},
-    "length": {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
-    "velocity": {"m/s": 1.0, "mm/s": 1e-3},
-    "force": {"N": 1.0, "kN": 1e3, "daN": 10.0, "lbf": 4.4482216152605, "kip": 4448.2216152605},
-    "force rate": {"N/s": 1.0, "kN/s": 1e3},
-    "pressure": {"Pa": 1.0, "hPa": 1e2, "kPa": 1e3, "MPa": 1e6, "mbar": 1e2, "bar": 1e5, "psi": 6894.757293168361,
-                 "N/mm2": 1e6},
-    "current": {"A": 1.0, "mA": 1e-3},
-}  # fmt: skip
-UNIT_FACTORS = {unit: one for units in OFFERED_UNITS.values() for unit, one in units.items()}
-"""Factor to SI of the units that are offered for a field; pint, which takes a second to load, reads all others."""
-_COMMON_UNITS = {unit: (quantity, one) for quantity, units in OFFERED_UNITS.items() for unit, one in units.items()}
-_SI_UNITS = {
-    "time": "s", "length": "m", "velocity": "m/s", "acceleration": "m/s**2", "force": "N", "force rate": "N/s",
-    "pressure": "Pa", "current": "A", "voltage": "V", "temperature": "K", "flow": "m**3/s", "frequency": "1/s",
-    "torque": "N*m", "mass": "kg", "power": "W", "ratio or angle": "rad",
-}  # fmt: skip
-_UNIT_SPELLINGS = {
-    "sek": "s", "sekunden": "s", "msek": "ms", "meter": "m", "mikrometer": "um", "n": "N", "kn": "kN", "pa": "Pa",
-    "kpa": "kPa", "mpa": "MPa", "a": "A", "ma": "mA", "v": "V", "amp": "A", "amps": "A", "kp": "kgf", "lbs/in2": "psi",
-    "psig": "psi", "barg": "bar", "bar(g)": "bar", "kg/cm2": "kgf/cm2", "kp/cm2": "kgf/cm2", "kg/cm²": "kgf/cm2",
-    "kp/cm²": "kgf/cm2", "lpm": "l/min", "gpm": "gallon/min", "hz": "Hz", "khz": "kHz", "u/min": "rpm",
-    "°c": "degC", "°C": "degC", "deg c": "degC", "celsius": "degC", "c": "degC", "°f": "degF", "f": "degF",
-    "°": "deg", "grad": "deg",
-    "Nm": "N*m", "kNm": "kN*m", "NM": "N*m",
-}  # fmt: skip
-"""Spellings of loggers in pint's; lower-case keys apply to any case."""
-_NO_UNIT_TEXTS = ("", "-", "--", "1", "n/a", "na", "none", "unitless", "dimensionless", "no unit")
-_UNIT_PATTERN = re.compile(r"(?:1/)?[A-Za-zµμΩ°%$/*·^(][\w µμΩ°%/*·^().²³⁻¹-]{0,23}")
-
-
-@cache
-def _registry() -> Any:
-    """Separate unit registry: the program's own may define other units, and is filled late."""
-    import pint
-
-    return pint.UnitRegistry()
-
-
-@cache
-def _measured(text: str) -> tuple[str, float] | None:
-    """Quantity of a unit and its factor to SI, or None where pint or the bench has none."""
-    if text in _COMMON_UNITS:
-        return _COMMON_UNITS[text]
-    if not _UNIT_PATTERN.fullmatch(text):
-        return None
-    units, powers = _registry(), re.sub(r"(?<=[A-Za-z])(-?[1-4])(?![\w])", r"**\1", text)
-    try:
-        parsed = units.parse_units(powers)
-        dimensions = parsed.dimensionality
-        factor = units.get_base_units(parsed, check_nonmult=False)[0]
-    except Exception:  # pint raises what its parser, tokenizer and registry raise
-        return None
-    quantity = next((q for q, one in _SI_UNITS.items() if units.parse_units(one).dimensionality == dimensions), "")
-    return (quantity, float(f"{factor:.15g}")) if quantity else None
-
-
-@cache
-def known(text: str) -> str:
-    """Return a unit in pint's spelling; empty if it measures no quantity of a bench. `mPa` is kept, `MPA` is MPa."""
-    bare = text.strip().strip('[]{}"').strip()
-    bare = bare[1:-1].strip() if bare[:1] == "(" and bare[-1:] == ")" else bare
-    bare = bare.rstrip(".")
-    lower = bare.lower()
-    if lower in _NO_UNIT_TEXTS:
-        return ""
-    tried = (_UNIT_SPELLINGS.get(bare, ""), bare, _UNIT_SPELLINGS.get(lower, ""), lower)
-    return next((one for one in tried if one and _measured(one)), "")
-
-
-def stated(text: str) -> str:
-    """Unit stated by a text: in pint's spelling if known, else the text itself; empty for none or dimensionless."""
-    bare = text.strip().strip('[]"').strip()
-    return known(text) or ("" if bare.lower() in _NO_UNIT_TEXTS else bare)
-
-
-def quantity(unit: str) -> str:
-    """Physical quantity measured by a unit; empty if the unit is unknown."""
-    found = _measured(known(unit)) if unit else None
-    return found[0] if found else ""
-
-
-def to_si(unit: str) -> float:
-    """Factor from a unit to SI; 1 for an empty unit. Raises KeyError if the unit is unknown."""
-    if not unit:
-        return 1.0
-    found = _measured(known(unit))
-    if found is None:
-        raise KeyError(unit)
-    return found[1]
-
-
-_BRACKETED_UNIT = re.compile(r"\s*(?:\[\s*([^\]]{1,16})\s*\]|\(\s*([^)]{1,16})\s*\))\s*$")
-_TRAILING_UNIT = re.compile(r"(?:\s+in\s+|\s*/\s*)([A-Za-zµ°%][\w°²]{0,6})$")
-_SIMPLE_UNITS = (
-    r"s|ms|us|ns|min|m|mm|cm|um|in|inch|ft|[mukM]?N|daN|lbf|lbs?|kip|kgf|kg|[hkM]?Pa|m?bar|psi|ksi|[mu]?A|m?V|rad|mrad|"
-    r"deg|degC|degF|k?Hz|rpm|lpm|l|L|k?Nm"
-)
-_UNIT_SUFFIX = re.compile(rf"_({_SIMPLE_UNITS})(?:_(?:per_)?(s2|s|min|mm2|m2|cm2))?$")
-_SUFFIX_COLUMNS = {
-    "s": r"t|time\w*|\w*zeit|stamp|elapsed|clock", "min": r"t|time\w*|\w*zeit|elapsed",
-    "m": r"[xyzsq]|x_?p|pos\w*|\w*weg\w*|hub|stroke|disp\w*|way|travel|length|lvdt",
-    "in": r"[xyzsq]|pos\w*|stroke|disp\w*|travel|length|lvdt",
-    "A": r"i|i_?v\w*|\w*current|cur|\w*strom", "V": r"u|\w*volt\w*|cmd\w*|command|control|signal|spannung",
-    "l": r"vol\w*", "L": r"vol\w*", "a": r"i|\w*current|cur|\w*strom", "b": "",
-}  # fmt: skip
-"""Suffixes that are more often a chamber, a port or a limit than a unit, with the words next to which they are units.
-"""
-
-
-def _fits(name: str, unit: str) -> bool:
-    words = re.split(r"[\W_]+", name)
-    return unit not in _SUFFIX_COLUMNS or any(
-        re.fullmatch(_SUFFIX_COLUMNS[unit], word, re.IGNORECASE) for word in words if word
-    )
-
-
-def split_unit(name: str) -> tuple[str, str]:
-    """A column's name without the unit at its end, and that unit: `pos [mm]`, `pos_mm`, `vel_mm_s`, `p / bar`.
-
-    Text in square brackets is a unit even if unknown, text elsewhere only if known.
-    """
-    if found := _BRACKETED_UNIT.search(name):
-        own, round_ = name[: found.start()].strip(), found[2] or ""
-        unit = stated(found[1]) if found[1] else known(round_) if round_ not in "AaBb" or _fits(own, round_) else ""
-        return (own or name, unit) if unit or found[1] else (name, "")
-    if (found := _TRAILING_UNIT.search(name)) and known(found[1]) in (*UNIT_FACTORS, "V"):
-        own = name[: found.start()].strip()
-        return (own, known(found[1])) if own and _fits(own, found[1]) else (name, "")
-    if found := _UNIT_SUFFIX.search(name):
-        own, over = name[: found.start()], found[2]
-        unit = known(f"{found[1]}/{over}" if over else found[1])
-        return (own, unit) if own and unit and (over or _fits(own, found[1])) else (name, "")
-    return name, ""
-
-
-# --- columns -------------------------------------------------------------------------------------------------------
+from hydro_diagnosis.io.units import known, quantity, split_unit, stated, to_si
+from hydro_diagnosis.recording import InputError
 
 _TIME_COLUMN = re.compile(
     r"^(.*[./\\ _-])?(time|t|\w*zeit|time_?stamps?|x-?axis|x_value|elapsed|date|datum|clock)(\.\d+)?$", re.IGNORECASE
@@ -177,6 +38,8 @@ class Columns:
     """Notes on the reading of the file, one sentence each."""
     broken: dict[str, str] = field(default_factory=dict)
     """Reason, by column that cannot be read as numbers: its first such cell, one sentence."""
+    unsure: dict[str, str] = field(default_factory=dict)
+    """Reason, by column whose size the file leaves open, so that the map must say it; FIELD in it is the field."""
 
     def add(self, name: str, values: FloatArray, unit: str = "") -> str:
         """Add a column with the file's unit; returns its name, numbered if a column of this name exists."""
@@ -191,6 +54,16 @@ class Columns:
         clocks = (clock for clock in dict.fromkeys(self.clocks.values()) if clock.startswith(group))
         same = (clock for clock in clocks if np.array_equal(self.series[clock], times))
         return next(same, "") or self.add(f"{group}time", times, "s")
+
+    def resolved(self, name: str) -> str:
+        """Return the column that a map means: of this name, or of this name without its unit. Raises InputError."""
+        own, unit = split_unit(name)
+        same = [one for one in (self.series if name not in self.series else ()) if split_unit(one)[0] == own]
+        if len(same) != 1 or name in (*self.broken, *self.other):
+            return name
+        if unit and self.unit(same[0]) and known(unit) != known(self.unit(same[0])):
+            raise InputError(f"{same[0]!r} is in {self.unit(same[0])}, not {unit}")
+        return same[0]
 
     def unit(self, name: str) -> str:
         """Unit of a column, stated by the file or contained in the column's name; empty if unknown."""
@@ -259,40 +132,80 @@ def stated_step(properties: Iterable[tuple[str, object]]) -> tuple[float, float]
 
 
 def merge_parts(parts: Iterable[Columns]) -> Columns:
-    """Merge the parts of a recording: consecutive parts with the same columns and continuing times are concatenated.
+    """Merge the parts of a recording: those whose times continue are joined by their columns' names, without units.
 
-    Parts whose time restarts, or with other columns, add columns of their own, numbered where a name repeats. Notes
-    report concatenated and restarted parts.
+    A column that a part lacks is NaN there; units are converted. Parts whose time begins again, or without a column in
+    common, add columns of their own, numbered where a name repeats. Notes report joined and restarted parts.
     """
-    found, last, joined, again = Columns(), Columns(), 0, 0
-    names: dict[str, str] = {}
+    found, last, joined, again, partial = Columns(), Columns(), 0, 0, dict[str, None]()
+    names: dict[str, str] = {}  # of the columns of the recording, by their names without units
     for part in parts:
-        alike = bool(last.series) and list(part.series) == list(last.series)
-        if alike and _goes_on(last, part):
-            for name, values in part.series.items():
-                found.series[names[name]] = np.concatenate([found.series[names[name]], values])
+        here = _keys(part)
+        keys = {name: key for key, name in here.items()}
+        common = here.keys() & names.keys()
+        if common and here.keys() & _keys(last).keys() and _goes_on(last, part):
+            longer = {}
+            for key in dict.fromkeys((*names, *here)):
+                partial.update(dict.fromkeys([names.get(key) or here[key]] * (key not in common)))
+                names[key], values = _joined(found, names, key, part, here)
+                longer[names[key]] = values
+            found.series.update(longer)
             joined += 1
         else:
-            again += alike
-            names = {name: found.add(name, values, part.units.get(name, "")) for name, values in part.series.items()}
-            found.clocks.update({names[name]: names[clock] for name, clock in part.clocks.items()})
+            again += bool(common)
+            names = {key: found.add(name, part.series[name], part.units.get(name, "")) for key, name in here.items()}
+        found.clocks.update({names[keys[name]]: names[keys[clock]] for name, clock in part.clocks.items()})
         found.other.extend(name for name in part.other if name not in found.other)
         found.notes.extend(note for note in part.notes if note not in found.notes)
         found.broken.update(part.broken)
+        found.unsure.update(part.unsure)
         found.constants.update(part.constants)
         last = part
     if joined:
-        found.notes.append(f"words stand among its numbers {joined} times: the parts were joined by their times")
+        found.notes.append(f"it was begun anew {joined} times: the parts were joined by their times and names")
+    if partial:
+        found.notes.append(f"{', '.join(partial)}: in some of the parts only")
     if again:
         found.notes.append(f"the time begins again, {again + 1} times: give each part as a file of its own")
     return found
 
 
+def _keys(part: Columns) -> dict[str, str]:
+    """Columns by their names without units, in full where two differ in nothing else."""
+    bare = [split_unit(name)[0] for name in part.series]
+    return {own if bare.count(own) == 1 else name: name for own, name in zip(bare, part.series, strict=True)}
+
+
+def _joined(
+    found: Columns, names: Mapping[str, str], key: str, part: Columns, here: Mapping[str, str]
+) -> tuple[str, FloatArray]:
+    """Name and values of a column with a part's: in the unit of those above, NaN where one of both lacks it."""
+    name, add = names.get(key, ""), here.get(key, "")
+
+    def missing(columns: Columns, names: Mapping[str, str], clock: str) -> FloatArray:
+        """Return NaN for each time of a clock, or row."""
+        rows = columns.series.get(names.get(split_unit(clock)[0], ""), next(iter(columns.series.values())))
+        return np.full(len(rows), np.nan)
+
+    above = found.series[name] if name else missing(found, names, part.clocks.get(add, ""))
+    below = part.series[add] if add else missing(part, here, found.clocks.get(name, ""))
+    if name and add and (units := (found.unit(name), part.unit(add)))[0] != units[1]:
+        if not quantity(units[0]) or quantity(units[0]) != quantity(units[1]):
+            found.broken[name] = f"{name!r} is in {units[0] or 'no unit'}, and further on in {units[1] or 'none'}"
+        else:
+            below = below * (to_si(units[1]) / to_si(units[0]))
+            found.notes.append(f"{name!r} goes on in {units[1]}: it was converted to {units[0]}")
+    return name or found.add(add, above, part.units.get(add, "")), np.concatenate([above, below])
+
+
 def _goes_on(above: Columns, below: Columns) -> bool:
     """Return whether the times of `below` continue those of `above`: all clocks, else a time column or the first."""
+    bare = {split_unit(name)[0]: values for name, values in below.series.items()}
     named = (name for name, values in above.series.items() if is_time(name, values))
     clocks = set(above.clocks.values()) or {next(named, next(iter(above.series)))}
-    ends = [(above.series[name], below.series[name]) for name in clocks]
+    if any(split_unit(clock)[0] not in bare for clock in clocks):
+        return False
+    ends = [(above.series[clock], bare[split_unit(clock)[0]]) for clock in clocks]
     ends = [(one[np.isfinite(one)], other[np.isfinite(other)]) for one, other in ends]
     return all(len(a) and len(b) and runs_forward(a, ticks=True) and b[0] >= a[-1] for a, b in ends)
 

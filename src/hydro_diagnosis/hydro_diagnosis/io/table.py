@@ -10,38 +10,28 @@ the sample that begins there (rows of up to 1 ms: the mean from this row to the 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
 
-import h5py
 import numpy as np
-import pandas as pd
+from scipy.interpolate import CubicSpline
 
 from hydro_bridge.bags.location import exists, is_bag
 from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
 from hydro_bridge.bags.recording import Recording as Bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
-from hydro_diagnosis.io.columns import (
-    Columns,
-    median_step,
-    quantity,
-    set_day_units,
-    split_unit,
-    to_si,
-)
-from hydro_diagnosis.io.delimited import delimited_columns, numbers_of
-from hydro_diagnosis.io.measurement_files import hdf5_columns, matlab_columns, mdf_columns, tdms_columns
+from hydro_diagnosis.io.columns import Columns, median_step
+from hydro_diagnosis.io.formats import read_columns
+from hydro_diagnosis.io.raster import with_rasters
 from hydro_diagnosis.io.topics import has_states, topic_columns
-from hydro_diagnosis.recording import (
-    MEASURED_CHANNELS,
-    RECORDING_SUFFIXES,
-    TEXT_SUFFIXES,
-    InputError,
-    unreadable_reason,
-)
+from hydro_diagnosis.io.units import quantity, to_si
+from hydro_diagnosis.recording import MEASURED_CHANNELS, InputError
+
+MAX_SPLINED_ROWS = 10
+"""Rows from sample to sample up to which a slower position, which is smooth, is interpolated by a spline."""
 
 
 def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, FloatArray], list[str], dict[str, str]]:
@@ -53,8 +43,14 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
         *found.notes,
         *(f"{name} holds no numbers and was left out" for name in found.other if name in MEASURED_CHANNELS),
     ]
-    sources = {field: _in_unit(field, source, found, notes) for field, source in chosen.sources.items()}
-    base = base_clock(sources, found)
+    named = {field: replace(one, column=found.resolved(one.column)) for field, one in chosen.sources.items()}
+    given = named["time"].column if "time" in named else ""
+    parent = given if given in found.series else given.rpartition(" of ")[0] or given  # of a slower channel's clock
+    if given:
+        named["time"] = replace(named["time"], column=parent)
+    found = with_rasters(found, ColumnMap(named), notes)
+    sources = {field: _in_unit(field, source, found, notes) for field, source in named.items()}
+    base = given if given != parent and given in found.series else base_clock(sources, found)
     times = cache(partial(_times_of, found=found, mapped=sources.get("time"), notes=notes))
     time = times(base)
     step, inside = median_step(time), np.ones(len(time), dtype=bool)
@@ -65,9 +61,13 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
             continue
         if source.column in found.broken or source.column in found.other:
             raise InputError(found.broken.get(source.column, f"{source.column!r} holds no numbers, or too few"))
-        clock = found.clocks.get(source.column, base) if source.column else base
+        clock = found.clocks.get(source.column, parent or base) if source.column else base
         length = len(found.series[source.column]) if source.column in found.series else len(time)
         values, late = source.of(found.series, found.constants, length), source.delay
+        if field == "valve_current" and 0.05 < np.mean(~np.isfinite(values)) < 1.0:  # written where it changes
+            last = np.maximum.accumulate(np.where(np.isfinite(values), np.arange(len(values)), 0))
+            notes.append(f"{field} is empty in {int(np.sum(~np.isfinite(values)))} rows: it was held from the last one")
+            values = values[last]
         if clock == base and not late and len(values) != len(time):
             raise InputError(f"{source.column!r} has {len(values)} rows, its times {len(time)}")
         own = times(clock) - late
@@ -75,6 +75,12 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
             fields[field] = values
             continue
         timed, values = own[np.isfinite(own)], values[np.isfinite(own)]
+        filled = field == "piston_position" and clock.startswith(f"{base} of ")
+        if filled and median_step(timed) <= 1.2 * MAX_SPLINED_ROWS * step:
+            inside &= (time >= timed[0]) & (time <= timed[-1])
+            fields[field] = CubicSpline(timed, values)(time)
+            notes.append(f"{field} was recorded by the clock {clock!r}: taken is a spline through its samples")
+            continue
         if field in MEASURED_CHANNELS and median_step(timed) > 1.2 * step:
             notes.append(
                 f"{field} is sampled {1.0 / median_step(times(clock)):.4g} times a second, the others {1.0 / step:.4g} "
@@ -91,7 +97,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
             near = np.clip(np.searchsorted(timed, time - coincident), 0, len(timed) - 1)
             exact = np.abs(timed[near] - time) < coincident
             fields[field] = np.where(exact, values[near], np.interp(time, timed, values))
-            how = "read off between its neighbouring samples"
+            how = "its rows at these times" if exact.all() else "read off between its neighbouring samples"
         said = f" {abs(late) * 1e3:g} ms {'late' if late > 0.0 else 'early'}" if late else ""
         by = f" by the clock {clock!r}, not {base!r}" if clock != base else ""
         notes.append(f"{field} was recorded{said}{' and' if said and by else ''}{by}: taken is {how}")
@@ -103,12 +109,14 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
 
 def _in_unit(field: str, source: Source, found: Columns, notes: list[str]) -> Source:
     """Return a plain source with the file's unit. Raises InputError if that is not of the field's quantity."""
+    if source.plain and source.column in found.unsure:
+        raise InputError(found.unsure[source.column].replace("FIELD", field))
     unit = found.unit(source.column)
     if not source.plain or not unit:
         return source
     wanted = QUANTITY_OF.get(field, "")
     if wanted and quantity(unit) != wanted:
-        example = replace(source, steps=(("*", 0.001),))
+        example = replace(source, factor=0.001)
         raise InputError(
             f"{source.column!r} is in {unit}, {field} is a {wanted}: give a factor to SI, as in {field}={example}"
         )
@@ -122,21 +130,33 @@ def _names(found: Columns) -> str:
 
 
 def base_clock(sources: Mapping[str, Source], found: Columns) -> str:
-    """Time column to which all others are resampled: the mapped one, else the clock of most sensors or the longest."""
-    if "time" in sources:
-        return sources["time"].column
-    owners = [found.clocks.get(source.column, "") for field, source in sources.items() if field in MEASURED_CHANNELS]
-    owners = [clock for clock in owners if clock] or [clock for clock in found.clocks.values() if clock]
+    """Time column to which all others are resampled: the clock of most sensors, or the longest.
+
+    Where the map names a time column, it is one of that column's rows: of most sensors, or of a position or a current
+    that is slower.
+    """
+    mapped = sources["time"].column if "time" in sources else ""
+    clocks = {field: found.clocks.get(one.column, mapped) for field, one in sources.items()}
+    owners = [clock for field, clock in clocks.items() if field in (*MEASURED_CHANNELS, "valve_current") and clock]
+    if mapped:
+        owners = [clock for clock in owners if clock == mapped or clock.startswith(f"{mapped} of ")] or [mapped]
+    owners = owners or [clock for clock in found.clocks.values() if clock]
     if not owners:
         raise InputError(f"no column is the time: map one by --columns time=NAME,...; there are {_names(found)}")
-    return max(sorted(set(owners)), key=lambda clock: (owners.count(clock), len(found.series[clock])))
+    rows = {clock: len(found.series.get(clock, ())) for clock in owners}
+    most = max(sorted(set(owners)), key=lambda clock: (owners.count(clock), rows[clock]))
+    slow = [clocks[field] for field in ("piston_position", "valve_current") if clocks.get(field) in rows]
+    if slow and slow[0] == clocks.get("piston_position") and rows[slow[0]] * MAX_SPLINED_ROWS >= rows[most]:
+        slow = slow[1:]
+    return min([most, *slow], key=rows.__getitem__) if mapped else most
 
 
 def _times_of(clock: str, found: Columns, mapped: Source | None, notes: list[str]) -> FloatArray:
     """Times of a clock [s]; the mapped unit and operations apply to all clocks without a unit stated by the file."""
     if clock in found.broken:
         raise InputError(found.broken[clock])
-    if mapped is not None and (clock == mapped.column or not found.unit(clock)):
+    own = mapped is not None and f"{clock} of ".startswith(f"{mapped.column} of ")
+    if mapped is not None and (own or not found.unit(clock)):
         source = replace(mapped, column=clock)
     else:
         source = _in_unit("time", Source(clock), found, [])
@@ -177,59 +197,6 @@ def _held_mean(own: FloatArray, values: FloatArray, time: FloatArray) -> FloatAr
     low, high = (np.clip(middle + side * 0.5 * rows, ends[0], ends[-1]) for side in (-1.0, 1.0))
     widths = np.where(high > low, high - low, np.nan)
     return np.asarray((np.interp(high, ends, dose) - np.interp(low, ends, dose)) / widths)
-
-
-def read_columns(path: Path) -> Columns:
-    """Read the columns of a measurement file. Raises InputError if it cannot be read; the message names the path."""
-    try:
-        kind = path.suffix.lower()
-        if kind == ".dat":  # INCA's are MDF, those of test machines are text
-            with path.open("rb") as file:
-                kind = ".mdf" if file.read(3) == b"MDF" else ".txt"
-        elif kind == ".mat" and h5py.is_hdf5(path):  # from MATLAB 7.3 on
-            kind = ".h5"
-        found = _READERS[kind](path)
-    except pd.errors.EmptyDataError:
-        raise InputError(f"{path}: the file is empty") from None
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
-    except (ImportError, OSError, ValueError) as error:
-        raise InputError(f"{path}: {' '.join(str(error).split())}") from None
-    if not found.series:
-        raise InputError(f"{path}: there is no column of numbers in it")
-    return found
-
-
-def _parquet(path: Path) -> Columns:
-    """Columns and index of a data frame; dates, durations and texts are read as those of a text table."""
-    frame, found = pd.read_parquet(path), Columns()
-    columns = [(str(name), cells) for name, cells in frame.items()]
-    if not isinstance(frame.index, pd.RangeIndex):
-        levels = (frame.index.get_level_values(k).to_series() for k in range(frame.index.nlevels))
-        columns = [(str(one.name or ("time" if one.dtype.kind in "fmM" else "index")), one) for one in levels] + columns
-    for name, cells in columns:
-        unit = split_unit(name)[1]
-        if cells.dtype.kind in "mM":
-            start = cells.iloc[0] if cells.dtype.kind == "M" else pd.Timedelta(0)
-            values, bad, unit = (cells - start).dt.total_seconds().to_numpy(dtype=np.float64), None, "s"
-        elif pd.api.types.is_numeric_dtype(cells):
-            values, bad = cells.to_numpy(dtype=np.float64, na_value=np.nan), None
-        else:
-            values, bad = numbers_of(cells.astype(object))
-        if bad is not None:
-            found.broken[name] = f"{cells.iloc[bad]!r} in row {bad + 1} of {name!r} is not a number as the others are"
-        elif np.isfinite(values).any():
-            found.add(name, values, unit)
-        else:
-            found.other.append(name)
-    set_day_units(found)
-    return found
-
-
-_READERS: dict[str, Callable[[Path], Columns]] = {
-    **dict.fromkeys(TEXT_SUFFIXES, delimited_columns), ".parquet": _parquet, ".pq": _parquet, ".mat": matlab_columns,
-    ".h5": hdf5_columns, ".hdf5": hdf5_columns, ".mf4": mdf_columns, ".mdf": mdf_columns, ".tdms": tdms_columns,
-}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -281,11 +248,9 @@ def columns_of(path: Path) -> Columns:
         bag = _bag(path)
         series = {name: bag.state[name].copy() for name in ("time", *STATE_FIELDS)}
         return Columns(series, units={"time": "s"}, notes=list(bag.notes))
-    if path.suffix.lower() in RECORDING_SUFFIXES:
-        return read_columns(path)
     if path.suffix.lower() in (".bag", ".db3"):
         _bag(path)  # raises with the remedy
-    raise InputError(f"{path}: {unreadable_reason(path)}")
+    return read_columns(path)
 
 
 def map_bag_fields(path: Path, raw: RawTable, columns: ColumnMap) -> RawTable:

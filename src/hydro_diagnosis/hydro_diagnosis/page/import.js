@@ -61,7 +61,7 @@ function columns() {
     const field = row.querySelector("select").value;
     if (!field) continue;
     chosen[field] = { column: row.dataset.column };
-    for (const input of row.querySelectorAll("input")) chosen[field][input.name] = input.value.trim();
+    for (const { name, value } of row.querySelectorAll("input")) if (value.trim()) chosen[field][name] = value.trim();
   }
   return chosen;
 }

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from hashlib import sha256
-from itertools import combinations, islice
+from itertools import combinations, islice, pairwise, product
 from pathlib import Path
 
 import numpy as np
@@ -27,13 +27,13 @@ from hydro_diagnosis.io.table import RawTable, columns_of, map_bag_fields, table
 from hydro_diagnosis.io.topics import has_states
 from hydro_diagnosis.preprocessing.quality import (
     MIN_SEGMENT_TIME,
-    MIN_TRAVEL,
     REMEDY,
     check_recording,
+    least_travel,
 )
 from hydro_diagnosis.preprocessing.smoothing import STRIDE, kinematics
 from hydro_diagnosis.recording import (
-    LAST_THIRD_NOTE,
+    HELD_THIRD_NOTE,
     MEASURED_CHANNELS,
     InputError,
     Recording,
@@ -71,38 +71,103 @@ def load_dataset(
     fitted = [segment for recording in to_fit for segment in recording.segments]
     held = [segment for recording in to_check for segment in recording.segments]
     if not to_check:
-        quality.append(LAST_THIRD_NOTE)
-        border, whole, fitted = sum(map(len, fitted)) * 2 // 3, fitted, []
-        for segment in whole:
-            cut = min(max(border, 0), len(segment))
-            border -= len(segment)
-            if cut and (len(segment) == cut or cut * segment.step >= MIN_SEGMENT_TIME):
-                fitted.append(segment.cut(0, cut))
-            if cut < len(segment) and (cut == 0 or (len(segment) - cut) * segment.step >= MIN_SEGMENT_TIME):
-                held.append(segment.cut(cut, len(segment)))
-    require_equation(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
-    _refuse_too_little(fitted, notes)
+        fitted, held = split(fitted)
+        quality.append(HELD_THIRD_NOTE)
+    if fitted:
+        require_equation(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
+    _refuse_too_little(fitted, bench, notes)
     fitted = _most_informative(fitted, "fitted", bench, quality)
     return fitted, _most_informative(held, "checked on", bench, quality), quality
 
 
+BLOCKS = 9
+"""Largest number of blocks of an only recording, of which every third is held out."""
+
+
+def split(segments: Sequence[Segment]) -> tuple[list[Segment], list[Segment]]:
+    """Return the fitted and the held-out segments of an only recording: its last third is held out.
+
+    If that moves in another range, as where amplitudes grow, every third of up to `BLOCKS` blocks is, of two strokes or
+    more each, so that both parts share the range.
+    """
+    fitted, held = _in_blocks(segments, 3)
+    lasted = sum(len(one) * one.step for one in segments)
+    most = min(lasted / (2.0 * MIN_SEGMENT_TIME), sum(map(_strokes, segments)) / 2.0, BLOCKS)
+    return _in_blocks(segments, int(most) // 3 * 3) if most >= 6.0 and _beyond(fitted, held) else (fitted, held)
+
+
+def _in_blocks(segments: Sequence[Segment], blocks: int) -> tuple[list[Segment], list[Segment]]:
+    """Fitted and held-out segments, every third block of equal length; rests under `MIN_SEGMENT_TIME` are left out."""
+    lasted = sum(len(one) * one.step for one in segments)
+    parts: tuple[list[Segment], list[Segment]] = ([], [])
+    before = 0.0
+    for segment in segments:
+        borders = ((np.arange(blocks + 1) * lasted / blocks - before) / segment.step).clip(0, len(segment)) + 1e-6
+        for block, (begin, end) in enumerate(pairwise(borders.astype(int).tolist())):
+            if block % 3 == 1:  # the second of three goes on from the first
+                continue
+            end = int(borders[block + 2]) if block % 3 == 0 else end
+            if end - begin == len(segment) or (end - begin) * segment.step >= MIN_SEGMENT_TIME:
+                parts[block % 3 == 2].append(segment.cut(begin, end))
+        before += len(segment) * segment.step
+    return parts
+
+
+def _beyond(fitted: Sequence[Segment], held: Sequence[Segment]) -> bool:
+    """Whether held-out segments move at speeds, or in places, beyond the fitted ones' by a quarter of their range."""
+    if not fitted or not held or any("piston_position" not in one.channels for one in (*fitted, *held)):
+        return False
+    places = [np.concatenate([one.channels["piston_position"] for one in part]) for part in (fitted, held)]
+    speeds = [
+        max(float(np.percentile(np.abs(kinematics(one.channels["piston_position"], one.step, one.spacing)[1]), 99.0))
+            for one in part)
+        for part in (fitted, held)
+    ]  # fmt: skip
+    margin = 0.25 * float(np.ptp(places[0]))
+    outside = places[1].min() < places[0].min() - margin or places[1].max() > places[0].max() + margin
+    return bool(outside or speeds[1] > 1.25 * speeds[0])
+
+
+def _strokes(segment: Segment) -> float:
+    """Number of strokes of the piston: runs between turns by more than a tenth of its range."""
+    position = segment.channels.get("piston_position")
+    if position is None:
+        return np.inf
+    turn, count, side = 0.1 * float(np.ptp(position)), 0, 0
+    extreme = float(position[0])
+    for place in position[:: max(len(position) // 5000, 1)].tolist():
+        if side * (place - extreme) > 0.0:
+            extreme = place
+        elif abs(place - extreme) > turn:
+            side, extreme, count = (1 if place > extreme else -1), place, count + 1
+    return count
+
+
 def _refuse_twice(recordings: list[Recording]) -> None:
-    """Raise InputError for copies: a sensor's noise never repeats, so recordings with an equal segment are copies."""
+    """Raise InputError for copies: of recordings with a segment in which all sensors of both read the same.
+
+    A single channel does not tell: a force may be computed from a command that two runs share.
+    """
     contents = [  # what each sensor that moves read in each segment; in single precision, as any file has it
-        {
-            (name, sha256(segment.channels[name].astype(np.float32).tobytes()).hexdigest())
+        [
+            {
+                name: sha256(segment.channels[name].astype(np.float32).tobytes()).digest()
+                for name in MEASURED_CHANNELS
+                if name in segment.channels and np.ptp(segment.channels[name]) > 0.0
+            }
             for segment in recording.segments
-            for name in MEASURED_CHANNELS
-            if name in segment.channels and np.ptp(segment.channels[name]) > 0.0
-        }
+        ]
         for recording in recordings
     ]
     for (one, first), (other, second) in combinations(zip(recordings, contents, strict=True), 2):
-        if first & second:
+        for read, again in product(first, second):
+            common = read.keys() & again.keys()
+            if not common or any(read[name] != again[name] for name in common):
+                continue
             raise InputError(f"{one.name} and {other.name} hold the same samples: give each recording once")
 
 
-def _refuse_too_little(segments: list[Segment], notes: list[str]) -> None:
+def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
     """Raise UnusableRecordingError for too little motion, of a bench that trips at once: any hypothesis would fit.
 
     `notes`: on discarded data. Motion is counted in blocks of a quarter of a second.
@@ -112,9 +177,10 @@ def _refuse_too_little(segments: list[Segment], notes: list[str]) -> None:
         if "piston_position" not in segment.channels:
             return
         length = max(round(0.25 / segment.step), 1)
+        least = least_travel(segment.channels["piston_position"], bench) / 10.0
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
         lasted += len(segment) * segment.step
-        moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > MIN_TRAVEL / 10.0))
+        moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > least))
     if moving >= 2.0 * MIN_SEGMENT_TIME:
         return
     remedy = REMEDY if notes or moving < 0.5 * lasted else "record 20 s of motion or more"
@@ -165,19 +231,28 @@ def _most_informative(segments: list[Segment], what: str, bench: Bench, quality:
         return segments
     pieces, occupancy = [], StateOccupancy(bench)
     for segment in segments:
-        length = round(WINDOW_TIME / segment.step)
+        length = window_length(segment)
         for at in range(0, max(len(segment) - length + 1, 1), length):
             pieces.append(segment.cut(at, at + length))
             occupancy.add(pieces[-1])
     kept = occupancy.select(int(MAX_DATA_TIME / WINDOW_TIME))
-    quality.append(f"of {total:.0f} s the {len(kept)} most informative windows of {WINDOW_TIME:g} s were {what}")
+    quality.append(
+        f"of {total:.0f} s the {len(kept)} most informative windows of {length * segment.step:.3g} s were {what}"
+    )
     return [pieces[k] for k in kept]
 
 
 # --- long recordings -----------------------------------------------------------------------------------------------
 
 WINDOW_TIME = 10.0
-"""Length of a window [s]."""
+"""Length of a window [s], unless the logger is slow: then a window has 100 rows."""
+
+
+def window_length(segment: Segment) -> int:
+    """Return the number of a segment's samples in a window."""
+    return max(round(WINDOW_TIME / segment.step), 100 * segment.spacing)
+
+
 _UNIFORM_EDGES = np.linspace(0.0, 1.0, 17)[1:-1]
 """Edges of the bins of position (shares of the stroke) and of pressure difference (shares of the supply)."""
 
@@ -197,8 +272,18 @@ class StateOccupancy:
         there: npt.NDArray[np.integer] = np.zeros(len(window), dtype=np.int64)
         if "piston_position" in channels:
             position, velocity, _ = kinematics(channels["piston_position"], window.step, window.spacing)
-            edges = [-0.1, -0.03, -0.01, -0.003, 0.003, 0.01, 0.03, 0.1]  # m/s: finer where friction changes most
-            here = np.digitize(position / bench.stroke, _UNIFORM_EDGES) * 9 + np.digitize(velocity, edges)
+            edges = [
+                -1.2,
+                -0.4,
+                -0.12,
+                -0.04,
+                0.04,
+                0.12,
+                0.4,
+                1.2,
+            ]  # strokes a second: finer where friction changes most
+            here = np.digitize(position / bench.stroke, _UNIFORM_EDGES) * 9
+            here = here + np.digitize(velocity / bench.stroke, edges)
         if "valve_current" in channels:
             edges = [-0.3, -0.1, -0.03, -0.01, 0.01, 0.03, 0.1, 0.3]  # shares of the largest current
             there = np.digitize(channels["valve_current"] / bench.valve_current_max, edges)
@@ -399,7 +484,7 @@ def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[
             continue
         notes += [f"{note} (from {start:.0f} s on)" for note in found.quality]
         for index, segment in enumerate(found.segments):
-            length = round(WINDOW_TIME / segment.step)
+            length = window_length(segment)
             for begin in range(0, len(segment) - length + 1, length):
                 window = segment.cut(begin, begin + length)
                 windows.append((number, index, begin, start + window.start))
@@ -418,7 +503,7 @@ def _informative(recording: str, bench: Bench, stretches: Callable[[], Iterator[
         checked_again = check_recording(table, bench).segments if here else ()
         for _, index, begin, start in here:
             segment = checked_again[index]
-            kept = segment.cut(begin, begin + round(WINDOW_TIME / segment.step))
+            kept = segment.cut(begin, begin + window_length(segment))
             channels = {name: values.copy() for name, values in kept.channels.items()}
             segments.append(replace(kept, start=start, channels=channels))
     notes.append(
