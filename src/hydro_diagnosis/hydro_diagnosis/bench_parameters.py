@@ -11,15 +11,19 @@ transmitted by the rod, and is part of the motion equation: m x_p'' = f_h - f_l 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Annotated, Any, cast
 
+import numpy as np
+
+from hydro_core.bench_scales import BenchScales
 from hydro_core.settings import quantity, read_yaml
+from hydro_core.signals import FloatArray
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE, Effect
-from hydro_diagnosis.recording import InputError
-from hydro_sim.model.bench import Bench
+from hydro_diagnosis.recording import InputError, Segment
+from hydro_sim.model.bench import NOMINAL, Bench
 
 SPRING_PARAMETERS = ("spring_stiffness", "spring_rest_position")
 OPTIONAL_PARAMETERS = {"viscous_friction": 0.0, "spring_stiffness": 0.0, "spring_rest_position": 0.0}
@@ -36,12 +40,52 @@ class PartialBench(Bench):
     """Parameters that have stand-in values."""
     absent: frozenset[str] = frozenset()
     """Parameters of `OPTIONAL_PARAMETERS` that were not given: the bench has none, unless a diagnosis names some."""
+    recorded: BenchScales = NOMINAL
+    """Size by the recordings, where the bench file does not tell."""
+
+    @property
+    def size(self) -> BenchScales:
+        """Scales of its forces, pressures, lengths and currents, those of the recordings for what is unknown."""
+        return replace(
+            self.recorded, **{
+                name: one for name, one in vars(super().size).items() if not self.unknown & set(_SIZES[name])
+            }
+        )  # fmt: skip
 
     def to_mapping(self) -> dict[str, Any]:
         """Return the known parameters by key."""
         still = {name for name in self.absent if getattr(self, name) == OPTIONAL_PARAMETERS[name]}
-        hidden = {"unknown", "absent", *self.unknown, *still}
+        hidden = {"unknown", "absent", "recorded", *self.unknown, *still}
         return {key: value for key, value in super().to_mapping().items() if key not in hidden}
+
+
+_SIZES = {"force": ("piston_area", "supply_pressure"), "pressure": ("supply_pressure",), "length": ("stroke",),
+          "current": ("valve_current_max",)}  # fmt: skip
+"""Parameters of the bench file that tell each of its sizes."""
+
+
+def recorded_size(bench: Bench, segments: Sequence[Segment]) -> BenchScales:
+    """Return the size of the machine by its recordings: half the range of what varies, and the range commanded.
+
+    1 of its unit where nothing is recorded.
+    """
+
+    def half_range(signals: Iterable[FloatArray]) -> float:
+        return max((0.5 * float(np.ptp(one)) for one in signals), default=0.0) or 1.0
+
+    def recorded(*names: str) -> list[FloatArray]:
+        return [one.channels[name] for one in segments for name in names if name in one.channels]
+
+    forces = recorded("hydraulic_force", "load_force") or [
+        bench.piston_area * (one.channels["pressure_a"] - bench.area_ratio * one.channels["pressure_b"])
+        for one in segments
+        if {"pressure_a", "pressure_b"} <= one.channels.keys()
+    ]
+    return BenchScales(
+        force=half_range(forces), pressure=2.0 * half_range(recorded("pressure_a", "pressure_b")),
+        length=2.0 * half_range(recorded("piston_position")),
+        current=max((float(np.max(np.abs(one))) for one in recorded("valve_current")), default=0.0) or 1.0,
+    )  # fmt: skip
 
 
 def is_known(bench: Bench, *names: str) -> bool:

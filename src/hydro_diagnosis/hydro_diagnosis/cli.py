@@ -67,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
 
 
 def run(arguments: Sequence[str]) -> int:
-    """Run the command; returns 0 for any verdict."""
+    """Run the command; returns 0 for any verdict, 1 if a stage failed."""
     options = parser()
     chosen = options.parse_args(arguments)
     if bool(chosen.recordings) == chosen.page:
@@ -76,9 +76,8 @@ def run(arguments: Sequence[str]) -> int:
         options.error("--simulated-columns goes with --simulated")
     if chosen.page:
         from hydro_diagnosis import import_page
-        from hydro_diagnosis.pipeline import diagnose
 
-        return import_page.run(chosen.bench, chosen.port, diagnose, opened=chosen.open)
+        return import_page.run(chosen.bench, chosen.port, opened=chosen.open)
     if not chosen.out:
         options.error("--out DIR says where the report goes")
     if chosen.columns and not (chosen.bench or chosen.model):
@@ -86,27 +85,34 @@ def run(arguments: Sequence[str]) -> int:
             "note: without --bench FILE these recordings are compared with the nominal bench",
             file=sys.stderr,
         )
-    with nullcontext(lambda text: None) if chosen.quiet else StageBar() as told:
-        told("loading the program")
-        from hydro_diagnosis.pipeline import diagnose
-        from hydro_diagnosis.report.page import write_files
+    from hydro_diagnosis.stage_border import TRACEBACKS, StageError
 
-        found = diagnose(
-            chosen.recordings, holdout=chosen.holdout, bench=chosen.bench, model=chosen.model,
-            columns=chosen.columns, without=chosen.without, estimate=chosen.estimate, as_wired=chosen.as_wired,
-            simulated=chosen.simulated, simulated_columns=chosen.simulated_columns, seconds=chosen.seconds,
-            progress=told,
-        )  # fmt: skip
+    try:
+        with nullcontext(lambda text: None) if chosen.quiet else StageBar() as told:
+            told("loading the program")
+            from hydro_diagnosis.pipeline import diagnose
+            from hydro_diagnosis.report.page import write_files
+
+            found = diagnose(
+                chosen.recordings, holdout=chosen.holdout, bench=chosen.bench, model=chosen.model,
+                columns=chosen.columns, without=chosen.without, estimate=chosen.estimate, as_wired=chosen.as_wired,
+                simulated=chosen.simulated, simulated_columns=chosen.simulated_columns, seconds=chosen.seconds,
+                progress=told,
+            )  # fmt: skip
+    except StageError as error:
+        error.border.write(chosen.out)
+        print(f"{error}: there is no report ({chosen.out / TRACEBACKS})", file=sys.stderr)
+        return 1
     write_files(found, chosen.out)
     refresh_index(chosen.out)
     print(found)
     print(f"{chosen.out / 'report.html'}, report.json, corrected.yaml ({found.report.seconds:.1f} s)")
-    return 0
+    return 1 if found.report.lost else 0
 
 
 @command(InputError, OSError)
 def main() -> int:
-    """Entry point; 2 for input that cannot be diagnosed, 130 when interrupted."""
+    """Entry point; 1 if a stage failed, 2 for input that cannot be diagnosed, 130 when interrupted."""
     return run(sys.argv[1:])
 
 

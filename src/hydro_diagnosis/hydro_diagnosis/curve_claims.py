@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hydro_core.signals import FloatArray
+from hydro_diagnosis.curves import ForceCurve
 from hydro_diagnosis.effects.base import MOTION, Effect, EffectHypothesis
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.intervals import Interval
@@ -19,6 +20,7 @@ from hydro_diagnosis.shapes import (
     PROFILE_FACTORS,
     FittedShape,
     curve_shape,
+    drop_uncertain,
     fit_shape,
     is_unidirectional,
     missing_indication,
@@ -26,9 +28,10 @@ from hydro_diagnosis.shapes import (
 )
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE
 from hydro_sim.model import grammar
+from hydro_sim.model.effects.base import plain
 
 if TYPE_CHECKING:
-    from hydro_diagnosis.curves import ForceCurve, Motion, Terms
+    from hydro_diagnosis.curves import Motion, Terms
     from hydro_diagnosis.estimation.problem import Problem
 
 EFFECT_LABELS = {
@@ -72,10 +75,8 @@ def claims_from_curve(
     allowed = frozenset(
         name for name, label in {**EFFECT_LABELS, "directional": DIRECTIONAL_FRICTION}.items() if label in effects
     )
-    shape = curve_shape(curve, problem.bench.viscous_friction, allowed)
-    share = partial(_share, curve, held_out)
-    found = _Claims(effects)
-    terms = curve.terms
+    share, found, terms = partial(_share, curve, held_out), _Claims(effects), curve.terms
+    shape = _holding(curve, curve_shape(curve, problem.bench.viscous_friction, allowed), share)
     if shape is not None:
         for name in dict.fromkeys(shape.shape.names):
             estimates = shape.coefficient_intervals(name, -1.0 if name == "constant" else 1.0)
@@ -84,9 +85,10 @@ def claims_from_curve(
                 estimates.append(
                     (shape.shape.stribeck, *stribeck_velocity_interval(curve.points, shape, curve.top_speed))
                 )
-            if name != "constant" or not terms.position:  # else it is part of the position term
-                gain = share(shape, terms) - share(shape.without(name), terms)
-                found.add(label, estimates, _evidence(curve, shape, name), gain)
+            gain = share(shape, terms, whole=name == "constant") - share(
+                shape.without(name), terms, whole=name == "constant"
+            )
+            found.add(label, estimates, _evidence(curve, shape, name), gain)
     dry = shape.coefficient_intervals("dry") if shape is not None else []
     operators = {"mass": (MOVING_MASS, replace(terms, mass=False)),
                  "presliding_distance": (PRESLIDING, replace(terms, presliding_distance=0.0)),
@@ -104,7 +106,7 @@ def claims_from_curve(
         return CurveClaims(why="what the curve would be named after does not hold on what was held out")
     closures = []
     if terms.position and accounted["all"] > accounted["named"]:
-        closures.append(_law(curve, problem, shape, found, accounted))
+        closures.append(_law(curve, problem, found, accounted))
     return CurveClaims(
         shape=shape, claims=tuple(found.claims), bounds=found.bounds, evidence=found.evidence,
         rivals=_rivals(curve) if found.claims else [],
@@ -137,10 +139,32 @@ class _Claims:
         self.evidence[label] = {"delta_bic": delta_bic, "holdout_gain": gain}
 
 
-def _share(curve: ForceCurve, held_out: Sequence[Motion], shape: FittedShape | None, terms: Terms) -> float:
+def _holding(
+    curve: ForceCurve, shape: FittedShape | None, share: Callable[[FittedShape, Terms], float]
+) -> FittedShape | None:
+    """Return the shape without the terms that make the held-out recordings worse, the worst first."""
+    while shape is not None:
+        whole = share(shape, curve.terms)
+        gains = {
+            name: whole - share(fit_shape(curve.points, shape.shape.without(name), curve.top_speed), curve.terms)
+            for name in shape.shape.names
+            if name != "constant"
+        }
+        worst = min(gains, key=lambda name: gains[name], default="")
+        if not worst or gains[worst] >= 0.0:
+            return shape
+        shape = drop_uncertain(
+            curve.points, fit_shape(curve.points, shape.shape.without(worst), curve.top_speed), curve.top_speed
+        )
+    return None
+
+
+def _share(
+    curve: ForceCurve, held_out: Sequence[Motion], shape: FittedShape | None, terms: Terms, *, whole: bool = False
+) -> float:
     """Return the share of the missing force that claims account for in held-out recordings.
 
-    1 - (rms of the residual) / (rms of the missing force), means and noise subtracted.
+    1 - (rms of the residual) / (rms of the missing force), noise subtracted; and means too, unless `whole`.
     """
     left, missing, noise = list[FloatArray](), list[FloatArray](), list[float]()
     for one in held_out:
@@ -151,7 +175,9 @@ def _share(curve: ForceCurve, held_out: Sequence[Motion], shape: FittedShape | N
         noise.append(one.noise)
     if not sum(map(len, missing)):
         return 0.0
-    before, after = (float(np.var(np.concatenate(parts))) for parts in (missing, left))
+    before, after = (
+        float(np.mean(np.square(one)) if whole else np.var(one)) for one in map(np.concatenate, (missing, left))
+    )
     floor = float(np.mean(np.square(noise)))
     return 1.0 - float(np.sqrt(max(after - floor, 0.0) / max(before - floor, 1e-300)))
 
@@ -173,9 +199,12 @@ def _size(curve: ForceCurve, name: str, dry: Sequence[tuple[float, float, float]
         return [(value, value - QUANTILE * error, value + QUANTILE * error)]
     value = getattr(curve.terms, name)
     least = curve.held_out_rms(curve.terms)
-    most, tried = (1.0 + PRACTICAL_SHARE) * least, value * PROFILE_FACTORS[::2]
-    flat = [one for one in tried.tolist() if curve.held_out_rms(replace(curve.terms, **{name: one})) < most]
-    low, high = min([*flat, value]), max([*flat, value])
+    most, low, high = (1.0 + PRACTICAL_SHARE) * least, value, value
+    for factors in (PROFILE_FACTORS[::2], PROFILE_FACTORS[::2] ** 0.1):  # finer if it is narrower than their spacing
+        if low == high:
+            tried = (value * factors).tolist()
+            flat = [one for one in tried if curve.held_out_rms(replace(curve.terms, **{name: one})) < most]
+            low, high = min([*flat, value]), max([*flat, value])
     return (
         [(value, low, high)] if name == "cell_bandwidth" else [(dry[0][0] / value, dry[0][0] / high, dry[0][0] / low)]
     )
@@ -198,24 +227,28 @@ def _rivals(curve: ForceCurve) -> list[Rival]:
     return found
 
 
-def _law(
-    curve: ForceCurve, problem: Problem, shape: FittedShape | None, found: _Claims, accounted: Mapping[str, float]
-) -> ClosureReport:
+def _law(curve: ForceCurve, problem: Problem, found: _Claims, accounted: Mapping[str, float]) -> ClosureReport:
     """Add the force over the position to the claims, as a closure, and return its report."""
-    constant = sum(one for one, *_ in shape.coefficient_intervals("constant")) if shape is not None else 0.0
     effect = closure(grammar.FORMS[MOTION, "table over position"], problem.bench, curve.limits)
-    values = dict(zip((one.name for one in effect.parameters), (curve.over_position + constant).tolist(), strict=True))
+    values = dict(zip((one.name for one in effect.parameters), curve.over_position.tolist(), strict=True))
     found.claims.append(EffectHypothesis(effect, values))
     found.bounds += [Interval(one, one, one, identifiable=False) for one in values.values()]
     slope = (curve.over_position[-2] - curve.over_position[1]) / (curve.limits[1] - curve.limits[0])
-    straight = curve.terms.position == "straight"
+    straight, mass = curve.terms.position == "straight", ""
+    if like := next((one for one in curve.rivals if one.mass and not curve.terms.mass), None):
+        more = ForceCurve(curve.motions, like).mass[0]
+        mass = f" In this motion {more:.3g} kg more of moving mass does the same: another frequency tells them apart."
     return ClosureReport(
         equation=MOTION,
         form="smooth",
-        expression=f"{slope:.4g} N/m * position" if straight else "f(position), a sum of cubic B-splines",
+        expression=plain(f"{slope:.4g} N/m * (position - {0.5 * sum(curve.limits):.4g} m)")
+        if straight
+        else "f(position), a sum of cubic B-splines of mean 0",
         terms={name: ParameterEstimate(value=value, ci95=None, unit="N") for name, value in values.items()},
         range=list(curve.limits),
-        sentence=f"A force that {'rises' if slope > 0.0 else 'falls'} with the position by {abs(slope):.3g} N/m in the "
-        "mean: like that of a spring that the bench file does not hold.",
+        sentence=plain(
+            f"A force that {'rises' if slope > 0.0 else 'falls'} with the position by {abs(slope):.3g} N/m in the "
+            "mean: like that of a spring that the bench file does not hold." + mass
+        ),
         share_closed=float(np.clip(accounted["all"] - accounted["named"], 0.0, 1.0)),
     )

@@ -20,7 +20,7 @@ from scipy.ndimage import maximum_filter1d, uniform_filter1d
 from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.curves import STANDSTILL_SHARE, ForceCurve, spline_basis
+from hydro_diagnosis.curves import STANDSTILL_SHARE, ForceCurve, centred_splines, spline_basis
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, EffectHypothesis
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.report_json import CurveReport
@@ -58,7 +58,7 @@ def curve_reports(
 
 def _over_position(curve: ForceCurve, by_curve: CurveClaims | None) -> CurveReport:
     share = np.asarray(np.arange(2 * KNOTS) / (2.0 * KNOTS - 1.0), dtype=np.float64)
-    rows = spline_basis(share)
+    rows = centred_splines(share)
     first, count = 2 * len(curve.knots), len(share)
     errors = np.zeros(count)
     for k in range(count):
@@ -68,7 +68,7 @@ def _over_position(curve: ForceCurve, by_curve: CurveClaims | None) -> CurveRepo
         else:
             row[first : first + KNOTS - 1] = rows[k, 1:]
         errors[k] = curve.error(row)
-    force = rows @ curve.over_position
+    force = spline_basis(share) @ curve.over_position
     made = force if by_curve is not None and by_curve.closures else np.zeros(count)
     at = np.asarray(curve.limits[0] + share * (curve.limits[1] - curve.limits[0]), dtype=np.float64)
     strokes = np.full(count, len(np.unique(curve.sliding.stroke)))

@@ -43,6 +43,8 @@ STANDSTILL_SHARE = 0.03
 """
 SPEED_KNOT_RATIO = 1.4
 """Ratio of neighbouring knots over the speed: eleven per direction, from about `STANDSTILL_SHARE` to the top speed."""
+MAX_RISE = 0.3
+"""Largest distance of an elastic rise, as a share of the stroke: beyond, the piston would hardly ever slide."""
 SMOOTHING_WEIGHT = 0.03
 """Factor of the smoothness penalties on first differences over the speed and second ones over the position, relative to
 the root of the samples' total weight."""
@@ -271,7 +273,9 @@ class ForceCurve:
                     best.append(self._best(kind))
             least = min((one for one, _ in best), default=np.inf)
             if not least < 0.5 * left:  # a term joins if it halves what is left
-                return terms
+                bent = terms.position == "straight" and self.position_confounded
+                bent = bent and even_share(ForceCurve(self.motions, terms).points) > 1.0
+                return replace(terms, position="curved") if bent else terms
             alike = [one for one in best if TIE_RATIO * one[0] <= least]
             self.rivals += [other for _, other in alike[1:]]
             left, terms = alike[0]
@@ -283,7 +287,8 @@ class ForceCurve:
             return left, terms
         found = minimize_scalar(
             lambda log: self.held_out_rms(replace(terms, presliding_distance=float(np.exp(log)))),
-            bounds=(np.log(terms.presliding_distance / 3.0), np.log(terms.presliding_distance * 3.0)), method="bounded",
+            bounds=(np.log(terms.presliding_distance / 3.0),
+                    np.log(min(terms.presliding_distance * 3.0, MAX_RISE * self.stroke))), method="bounded",
             options={"maxiter": 8},
         )  # fmt: skip
         finer = replace(terms, presliding_distance=float(np.exp(found.x)))
@@ -292,30 +297,27 @@ class ForceCurve:
     def _further(self, terms: Terms) -> Iterator[list[Terms]]:
         """Further terms, kind by kind, the most usual first."""
         beginning = not (terms.presliding_distance or terms.cell_bandwidth)
+        cell = beginning and all("hydraulic_force" in one.channels for motion in self.motions for one in motion.models)
         rises = [
             replace(terms, presliding_distance=share * self.stroke)
-            for share in (0.003, 0.01, 0.03, 0.1, 0.3)
+            for share in (0.003, 0.01, 0.03, MAX_RISE / 3.0, MAX_RISE)
             if beginning
         ]
         yield rises
         yield [replace(one, prandtl=True) for one in rises]
         yield [replace(one, play=play * self.stroke) for one in rises for play in (0.05, 0.1, 0.2, 0.3)]
-        yield [replace(terms, mass=True)] if not terms.mass else []
         position = {"": "straight", "straight": "curved", "curved": ""}[terms.position]
-        yield (
-            [replace(terms, position=position)]
-            if position and not (position == "curved" and self.position_confounded)
-            else []
-        )
-        yield [
-            replace(terms, cell_bandwidth=share * self.motions[0].band) for share in (0.25, 0.5, 1.0, 2.0) if beginning
-        ]
+        bent = position == "curved" and self.position_confounded
+        yield [replace(terms, position=position)] if position and not bent else []
+        yield [replace(terms, mass=True)] if not terms.mass else []  # after its look-alike in sines of one frequency
+        yield [replace(terms, cell_bandwidth=share * self.motions[0].band) for share in (0.25, 0.5, 1.0, 2.0) if cell]
 
     @cached_property
     def position_confounded(self) -> bool:
         """Whether curvature over the position cannot be told from the curve over the speed, as in equal strokes.
 
-        Then the mean at each speed leaves less than a fifth of the bend's variance.
+        Then the mean at each speed leaves less than a fifth of the bend's variance. A force that is the same both ways
+        and varies more than friction is then taken for one over the position, and friction as equal both ways.
         """
         design = self.design(Terms(), self.motions)
         bend = np.square(self.relative_position(design.position) - 0.5)
@@ -371,7 +373,7 @@ class ForceCurve:
             speeds = np.concatenate([side[:, None] * hats for side in sides], axis=1)
             bends, share = list[FloatArray](), self.relative_position(one.position)
             if terms.position:
-                bends = [share - 0.5] if terms.position == "straight" else list(spline_basis(share)[:, 1:].T)
+                bends = [share - 0.5] if terms.position == "straight" else list(centred_splines(share)[:, 1:].T)
             further = np.column_stack([*bends, *([one.acceleration] if terms.mass else []), np.ones(len(sign))])
             columns = np.concatenate([one.low_pass(cell(speeds), one.step), cell(further)], axis=1)
             if sliding:  # an elastic rise must be complete
@@ -385,21 +387,21 @@ class ForceCurve:
         return Design(**{name: np.concatenate([part[name] for part in parts]) for name in parts[0]})
 
     def _sign(self, motion: Motion, terms: Terms) -> FloatArray:
-        position = motion.memory.play("play", motion.position, terms.play) if terms.play else motion.position
+        position = motion.memory.play(motion.position, terms.play) if terms.play else motion.position
         if not terms.presliding_distance:  # the mean over the sample, in whose middle the piston may turn
             half = 0.5 * motion.step * np.abs(motion.acceleration) + 1e-300
             return np.clip(motion.velocity / half, -1.0, 1.0)
         if terms.prandtl:
             return (
-                position - motion.memory.play("rise", position, 2.0 * terms.presliding_distance)
+                position - motion.memory.play(position, 2.0 * terms.presliding_distance)
             ) / terms.presliding_distance
-        return motion.memory.bristle("rise", position, 1.0 / terms.presliding_distance, np.ones(len(position)))
+        return motion.memory.bristle(position, 1.0 / terms.presliding_distance, np.ones(len(position)))
 
     @staticmethod
     def _cell(motion: Motion, terms: Terms) -> Callable[[FloatArray], FloatArray]:
         if not terms.cell_bandwidth:
             return lambda signals: signals
-        return lambda signals: motion.memory.low_pass("cell", signals, terms.cell_bandwidth, LOAD_CELL_DAMPING)
+        return lambda signals: motion.memory.low_pass(signals, terms.cell_bandwidth, LOAD_CELL_DAMPING)
 
     def relative_position(self, position: FloatArray) -> FloatArray:
         """Position over the recorded range, 0 to 1."""
@@ -408,10 +410,14 @@ class ForceCurve:
     def _normal(self, design: Design, weight: FloatArray, terms: Terms) -> FloatArray:
         """Inverse of the normal matrix, with the smoothness penalties."""
         columns, speeds = design.columns, len(self.knots)
-        held = np.zeros((2 * (speeds - 1) + (KNOTS - 2 if terms.position == "curved" else 0), columns.shape[1]))
+        curved = terms.position == "curved"
+        tied = speeds if curved and self.position_confounded else 0
+        held = np.zeros((2 * (speeds - 1) + (KNOTS - 2 if curved else 0) + tied, columns.shape[1]))
         for row, k in enumerate([*range(speeds - 1), *range(speeds, 2 * speeds - 1)]):
             held[row, k], held[row, k + 1] = -SMOOTHING_WEIGHT, SMOOTHING_WEIGHT
-        for k, row in enumerate(range(2 * (speeds - 1), len(held))):  # the first spline has the coefficient 0
+        for row, k in zip(range(len(held) - tied, len(held)), range(tied), strict=True):  # friction alike both ways
+            held[row, k], held[row, speeds + k] = 1.0, -1.0
+        for k, row in enumerate(range(2 * (speeds - 1), len(held) - tied)):  # the first spline has the coefficient 0
             at = 2 * speeds + np.arange(k - 1, k + 2)
             held[row, at[at >= 2 * speeds]] = SMOOTHING_WEIGHT * np.array([1.0, -2.0, 1.0])[at >= 2 * speeds]
         held = held * np.sqrt(weight.sum())
@@ -517,24 +523,29 @@ class ForceCurve:
 
     @cached_property
     def over_position(self) -> FloatArray:
-        """Coefficients [N] of the `KNOTS` splines over the position, without the constant; zeros without that term."""
+        """Coefficients [N] of the `KNOTS` splines over the position, of mean 0; zeros without that term."""
         first = 2 * len(self.knots)
         if self.terms.position == "straight":
             return np.asarray(self.values[first] * ((np.arange(KNOTS) - 1.0) / (KNOTS - 3.0) - 0.5))
         if self.terms.position == "curved":
-            return np.concatenate([[0.0], self.values[first : first + KNOTS - 1]])
+            values = np.concatenate([[0.0], self.values[first : first + KNOTS - 1]])
+            return np.asarray(values - SPLINE_MEANS @ values)
         return np.zeros(KNOTS)
 
     @property
     def opposing_share(self) -> float:
-        """Share of the sliding samples in which the force over the speed opposes the motion."""
+        """Share of the sliding samples, or of the strokes, in which the force over the speed opposes the motion.
+
+        The larger of both: noise may hide the force in samples, not in the means of strokes. Of less than ten strokes
+        chance makes such a share.
+        """
         design, first = self.sliding, 2 * len(self.knots)
-        sides = [[point.force for point in self.points if point.velocity * side > 0.0] for side in (1.0, -1.0)]
-        if not all(sides):
-            return 0.0
-        constant = 0.5 * sum(float(np.mean(side)) for side in sides)
-        force = design.missing - design.columns[:, first:-1] @ self.values[first:-1] - constant
-        return float(np.mean(force * design.velocity > 0.0))
+        force = design.missing - design.columns[:, first:-1] @ self.values[first:-1] - middle_force(self.points)
+        opposing, side = force * np.sign(design.velocity), design.velocity > 0.0
+        _, stroke = np.unique(2 * design.stroke + side, return_inverse=True)
+        means = np.bincount(stroke, opposing)
+        by_stroke = float(np.mean(means > 0.0)) if len(means) >= 10 else 0.0
+        return max(float(np.mean(opposing > 0.0)), by_stroke)
 
     @property
     def rough(self) -> bool:
@@ -548,9 +559,40 @@ class ForceCurve:
         return 1.483 * float(np.median(off)) / noise > ROUGHNESS_THRESHOLD
 
 
+def middle_force(points: Sequence[Point]) -> float:
+    """Return the force [N] midway between both directions, such as a weight; 0 if all motion is one way."""
+    sides = [[point.force for point in points if point.velocity * side > 0.0] for side in (1.0, -1.0)]
+    return 0.5 * sum(float(np.mean(side)) for side in sides) if all(sides) else 0.0
+
+
+def even_share(points: Sequence[Point]) -> float:
+    """Return the variation over the speed of the force that is alike both ways, over the mean of what opposes."""
+    (out, out_force), (back, back_force) = (
+        np.array(sorted((abs(one.velocity), one.force) for one in points if one.velocity * side > 0.0)).reshape(-1, 2).T
+        for side in (1.0, -1.0)
+    )
+    if not (len(out) and len(back)):
+        return 0.0
+    speed = np.sort(np.concatenate([out, back]))
+    speed = speed[(speed >= max(out[0], back[0])) & (speed <= min(out[-1], back[-1]))]
+    if not len(speed):
+        return 0.0
+    there, here = np.interp(speed, out, out_force), np.interp(speed, back, back_force)
+    return float(np.ptp(there + here) / max(abs(float(np.mean(there - here))), 1e-30))
+
+
+def centred_splines(share: FloatArray) -> FloatArray:
+    """Return `spline_basis`, each spline less its mean over the positions from 0 to 1, shape (n, KNOTS)."""
+    return spline_basis(share) - SPLINE_MEANS
+
+
 def spline_basis(share: FloatArray) -> FloatArray:
     """Return the `KNOTS` uniform cubic B-splines of `model.tables` at positions from 0 to 1, shape (n, KNOTS)."""
     step = 1.0 / (KNOTS - 3)
     knots = step * np.arange(-3, KNOTS + 1)
     inside = np.clip(share, 0.0, 1.0 - 1e-12)
     return np.asarray(BSpline.design_matrix(inside, knots, 3).toarray())
+
+
+SPLINE_MEANS = np.asarray(spline_basis(np.arange(1001, dtype=np.float64) / 1000.0).mean(axis=0))
+"""Mean of each spline over the positions from 0 to 1, shape (KNOTS,)."""

@@ -26,10 +26,10 @@ from urllib.parse import quote
 
 from hydro_bridge.bags.location import exists
 from hydro_bridge.pages import environment
-from hydro_core.cli import jobs
 from hydro_core.cli.console import UserError, command, plural, writable_folder
 from hydro_core.files.atomic import write_atomic
 from hydro_core.settings import read_yaml
+from hydro_diagnosis import jobs
 from hydro_diagnosis.bench_parameters import read_bench
 from hydro_diagnosis.effects.base import display_unit
 from hydro_diagnosis.io.column_map import ColumnMap
@@ -89,6 +89,8 @@ def diagnose_one(path: str, folder: str, options: Mapping[str, Any]) -> list[dic
         "explained": min((one["all"] for one in report.accounted.values()), default=None),
         "closures": len(report.closures),
     }
+    if report.lost:
+        about["refused"] = "; ".join(one.sentence for one in report.lost)
     rows = [
         {"cause": effect.id, "options": ",".join(f"{key}={one}" for key, one in effect.options.items()),
          "parameter": name, **row_of(estimate)}

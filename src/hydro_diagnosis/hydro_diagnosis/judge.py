@@ -106,7 +106,7 @@ def explained_share(problem: Problem, found: Fit, baseline_fit: Fit) -> float:
 
 def assess(
     problem: Problem, found: Fit, kept: Fit, baseline_fit: Fit, holdout: Problem,
-    accounted: Mapping[str, Mapping[str, float]],
+    accounted: Mapping[str, Mapping[str, float]], simulated: Mapping[str, Any],
 ) -> Assessment:  # fmt: skip
     """Return the verdict, with the locations of the mismatch and of what remains of it.
 
@@ -116,6 +116,9 @@ def assess(
         Fits of the search, with the retained claims, and without claims.
     accounted
         `accounted_shares` of the held-out recordings.
+    simulated
+        `validation.holdout_errors` of the held-out recordings: names and terms with which the simulation of a channel
+        becomes worse by more than a fifth do not explain all, whatever they account for.
     """
     terms = any(not one.effect.named for one in kept.cause_claims)
     names = any(one.effect.named for one in kept.cause_claims)
@@ -143,7 +146,9 @@ def assess(
         nowhere = tuple(() for _ in problem.models)  # in the fitted recordings
         remainder = tuple(replace(one, windows=nowhere) for one in remainder)
     locations = tuple(locate_claims(problem, kept, baseline_fit.residual)) or remainder
-    whole = all(one["all"] >= 1.0 - PRACTICAL_SHARE for one in accounted.values()) and bool(accounted)
+    runs = [*simulated["holdout"].values(), *(one for one in simulated["free_run"].values() if isinstance(one, dict))]
+    worse = any(not one["rmse_after"] <= 1.2 * one["rmse_before"] for one in runs)
+    whole = all(one["all"] >= 1.0 - PRACTICAL_SHARE for one in accounted.values()) and bool(accounted) and not worse
     if kept.cause_claims and whole:
         verdict = "modelled" if terms else "explained"
     else:

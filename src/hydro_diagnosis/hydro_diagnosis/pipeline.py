@@ -16,8 +16,9 @@ from hydro_diagnosis.io.column_map import ColumnMap
 from hydro_diagnosis.report.diagnosis import Diagnosis
 from hydro_diagnosis.selection.search import Search, SearchSettings
 from hydro_diagnosis.simulator_comparison import compare_reports
+from hydro_diagnosis.stage_border import StageBorder
 from hydro_diagnosis.stages.hypotheses import prepare_best_wiring, reconsider_wiring
-from hydro_diagnosis.stages.naming import model_remainder, name_causes
+from hydro_diagnosis.stages.naming import StageResult, model_remainder, name_causes, name_nothing
 from hydro_diagnosis.stages.reading import DiagnosisInput, PreparedDiagnosis, ProgressCallback
 from hydro_diagnosis.stages.reporting import build_report
 from hydro_sim.model.bench import Bench
@@ -46,7 +47,7 @@ def diagnose(
     recordings
         rosbag2 folders, .mcap, or files of other loggers (see `table.read_table`).
     holdout
-        Held-out recordings; by default the last recording, or the last third of the only one.
+        Held-out recordings; by default the last recording, or a third of the only one.
     bench
         The baseline: a Bench, the path of a bench.yaml or corrected.yaml or its content, or None for the nominal one.
         A file or content needs only the parameters that the channels require (`bench_parameters.required_parameters`).
@@ -77,14 +78,17 @@ def diagnose(
     ------
     InputError
         If no recording can be diagnosed, or the bench file lacks parameters that they require.
+    StageError
+        If a stage fails without which there is no report, by an error of the program.
     """
+    border = StageBorder()
     inputs = DiagnosisInput(
         recordings=recordings, holdout=holdout, bench=bench, model=model, columns=columns, without=without,
         estimate=estimate, as_wired=as_wired, budget=Budget(seconds),
     )  # fmt: skip
     settings = settings or SearchSettings()
     if not simulated:
-        return _answered(_prepare(inputs, progress), settings, progress)
+        return _answered(_prepare(inputs, progress, border), settings, progress, border)
 
     def told(text: str) -> None:
         progress(f"simulator: {text}")
@@ -92,28 +96,48 @@ def diagnose(
     beside = replace(
         inputs, recordings=simulated, holdout=(), columns=simulated_columns or columns, budget=Budget(seconds)
     )
-    simulator = _prepare(beside, told)  # both before any search: what cannot be read is refused at once
-    found = _answered(_prepare(inputs, progress), settings, progress)
-    other = _answered(simulator, settings, told)
+    simulator = _prepare(beside, told, border)  # both before any search: what cannot be read is refused at once
+    found = _answered(_prepare(inputs, progress, border), settings, progress, border)
+    other = _answered(simulator, settings, told, border)
+    if border.lost:  # a difference would rest on what is missing
+        return found
     return replace(found, report=compare_reports(found.report, other.report))
 
 
-def _prepare(inputs: DiagnosisInput, progress: ProgressCallback) -> tuple[PreparedDiagnosis, float]:
+def _prepare(
+    inputs: DiagnosisInput, progress: ProgressCallback, border: StageBorder
+) -> tuple[PreparedDiagnosis, float]:
     """Prepared diagnosis of an input, and the time taken to read it [s]."""
     begun = time.monotonic()
     with threadpool_limits(1, "blas"):  # the matrices are thin: more threads only wait for one another
-        return prepare_best_wiring(inputs, progress), time.monotonic() - begun
+        prepared = border.run("reading", lambda: prepare_best_wiring(inputs, progress))
+    return prepared, time.monotonic() - begun
 
 
-def _answered(read: tuple[PreparedDiagnosis, float], settings: SearchSettings, progress: ProgressCallback) -> Diagnosis:
+def _answered(
+    read: tuple[PreparedDiagnosis, float], settings: SearchSettings, progress: ProgressCallback, border: StageBorder
+) -> Diagnosis:
     prepared, begun = read[0], time.monotonic() - read[1]
     given = None not in prepared.estimated_parameters.values()
-    search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
+
+    def named() -> tuple[Search, StageResult]:
+        """Search over the prepared problem, and its names; none if it fails."""
+        search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
+        return search, border.run(
+            "naming", lambda: name_causes(prepared, search), lambda: name_nothing(prepared, search)
+        )
+
     with threadpool_limits(1, "blas"):
-        found = name_causes(prepared, search)
-        before, prepared = prepared, reconsider_wiring(prepared, found, progress)
+        search, found = named()
+        before = prepared
+        prepared = border.run("wiring", lambda: reconsider_wiring(before, found, progress), lambda: before)
         prepared.inputs.reader.clear()  # no further hypothesis reads
         if prepared.problem is not before.problem:
-            search = Search(prepared.problem, prepared.candidates, settings, progress, given=given)
-            found = name_causes(prepared, search)
-        return build_report(prepared, search, model_remainder(found, prepared, search), begun)
+            search, found = named()
+        names = found
+        found = border.run("modelling", lambda: model_remainder(names, prepared, search), lambda: names)
+        return border.run(
+            "report",
+            lambda: build_report(prepared, search, found, begun, border),
+            lambda: build_report(prepared, search, name_nothing(prepared, search), begun, border),
+        )

@@ -13,10 +13,12 @@ import numpy.typing as npt
 
 from hydro_core.signals import FloatArray
 
-TEXT_SUFFIXES = (".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm")
-RECORDING_SUFFIXES = (*TEXT_SUFFIXES, ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".mf4", ".mdf", ".tdms")
-LAST_THIRD_NOTE = "the last third of the only recording was held back to check on"
-"""Note on a data set of one recording, whose last third is held out."""
+RECORDING_SUFFIXES = (
+    ".csv", ".txt", ".tsv", ".asc", ".ascii", ".lvm", ".dat", ".parquet", ".pq", ".mat", ".h5", ".hdf5", ".nc", ".mf4",
+    ".mdf", ".tdms", ".gz", ".zip",
+)  # fmt: skip
+HELD_THIRD_NOTE = "a third of the only recording was held back to check on"
+"""Note on a data set of one recording, of which a third is held out."""
 
 
 def ambiguous_paths(paths: Sequence[str | Path]) -> set[Path]:

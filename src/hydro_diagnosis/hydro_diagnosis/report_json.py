@@ -8,6 +8,22 @@ from pathlib import Path
 from typing import Any
 
 from hydro_core.files.atomic import encode_json, write_atomic
+from hydro_sim.model.effects.base import display_unit
+
+
+@dataclass(frozen=True, kw_only=True)
+class Regime:
+    """Range of a variable in which the mean of the mismatch is not 0."""
+
+    variable: str
+    """time, position, velocity, current, pressure_a or pressure_b."""
+    low: float
+    high: float
+    """SI units."""
+    mean: float
+    """Mean of the residual [N, Pa]."""
+    rate: float
+    """Smallest false-discovery rate at which the regime is named."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,7 +37,11 @@ class Location:
     """Time windows [s, s] with a significant mismatch, by recording."""
     region: dict[str, list[float]]
     """Range [low, high] of each variable with a significant mismatch: 10th and 90th percentile, SI units."""
+    regimes: list[Regime]
+    """Regimes of one variable in which the mean mismatch is not 0, at a false-discovery rate of 5 %."""
     sentence: str
+    where: str
+    """Sentence of the regimes; empty if there are none."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,6 +84,23 @@ class Rival:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Validity:
+    """Range in which a claim was seen to hold; nothing is known beyond."""
+
+    over: str
+    """velocity (its magnitude), position, current or pressure."""
+    unit: str
+    low: float
+    high: float
+
+    @property
+    def words(self) -> str:
+        """The range in words."""
+        unit, factor = display_unit(self.unit)
+        return f"seen from {self.low * factor:.3g} to {self.high * factor:.3g} {unit} of {self.over}"
+
+
+@dataclass(frozen=True, kw_only=True)
 class EffectReport:
     """A claimed effect."""
 
@@ -78,6 +115,13 @@ class EffectReport:
     """
     rivals: list[Rival]
     look_alikes: list[LookAlike]
+    holds: Validity | None = None
+    """Range in which it was seen to hold; None where it is no function of a recorded variable."""
+
+    @property
+    def said(self) -> str:
+        """The sentence, with the range in which it was seen to hold."""
+        return f"{self.sentence[:-1]}, {self.holds.words}." if self.holds else self.sentence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -186,6 +230,15 @@ class Difference:
 
 
 @dataclass(frozen=True, kw_only=True)
+class LostStage:
+    """Stage that raised an exception: the report has none of its results, and no name that rests on them."""
+
+    stage: str
+    """reading (then there is no report), naming, wiring, modelling, curves, forecast, report, page or corrected."""
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
 class Report:
     """Result of a diagnosis."""
 
@@ -222,6 +275,26 @@ class Report:
     seconds: float
     steps: list[dict[str, Any]] = field(default_factory=list)
     """Steps of the search: action, label, and delta_bic relative to the fit without claims."""
+    lost: list[LostStage] = field(default_factory=list)
+    """Stages that failed, an error of the program; usually empty."""
+
+    @property
+    def answers(self) -> list[str]:
+        """Answers to what a practitioner asks first: what moves and holds, what opposes motion, what does the valve."""
+        kinds = (
+            ("force_offset", "load_cell_bias", "spring", "end_cushion"),
+            ("friction", "backlash"),
+            ("valve", "transport_delay"),
+        )
+        weight, friction, valve = ([one.said for one in self.effects if one.id.startswith(kind)] for kind in kinds)
+        weight += [one.sentence for one in self.closures if one.equation == "motion"]
+        found = []
+        if "motion" in self.checked:
+            found += [" ".join(weight) or "No constant force and no force over the stroke is missing."]
+            found += [" ".join(friction) or "No friction beyond the bench file's could be named."]
+        if "actuation" in self.checked:
+            found += [" ".join(valve) or "No cause in the valve could be named."]
+        return found
 
     def to_json(self) -> str:
         """Return the report as JSON text."""

@@ -3,8 +3,9 @@
 
 Chosen is the simplest shape that misses no point, with at most half as many parameters as points. If there is none,
 terms are added as long as the points' evidence (BIC, their discrepancy estimated) supports them. A point is missed by
-more than two standard errors and more than `PRACTICAL_SHARE` of the largest force. Where few points allow for one
-parameter alone, and it misses one grossly, dry friction and a constant force are fitted: one parameter per direction.
+more than two standard errors and more than `PRACTICAL_SHARE` of what the force varies by, weights left out. Where few
+points allow for one parameter alone, and it misses one grossly, dry friction and a constant force are fitted: one
+parameter per direction.
 
 Sizes are by robust weighted least squares on the points; their intervals include the errors between strokes and a
 discrepancy of the shape, estimated from its residuals and correlated between neighbouring speeds (Kennedy and O'Hagan
@@ -22,6 +23,7 @@ import numpy as np
 from scipy.special import stdtrit
 
 from hydro_core.signals import FloatArray
+from hydro_diagnosis.curves import middle_force
 from hydro_diagnosis.significance import CONFIDENCE, COVERAGE_FACTOR, ITERATIONS, PRACTICAL_SHARE
 
 if TYPE_CHECKING:
@@ -32,7 +34,7 @@ STRIBECK_VELOCITY_RATIOS = (0.05, 0.1, 0.2, 0.4, 0.6)
 PROFILE_FACTORS = np.geomspace(0.25, 4.0, 33)
 """Factors of a parameter's estimate at which its profile is evaluated for an interval."""
 MIN_OPPOSING_SHARE = 0.9
-"""Least share of the sliding samples in which friction must oppose the motion; recordings of tanks have 76 %."""
+"""Least share of samples or strokes in which friction must oppose the motion; recordings of tanks have 76 %."""
 
 
 @dataclass(frozen=True)
@@ -126,8 +128,7 @@ class FittedShape:
 def fit_shape(points: Sequence[Point], shape: Shape, top: float) -> FittedShape:
     """Return a shape with its coefficients fitted to the points; `top`: top speed [m/s]."""
     speed, force, error = (np.array([getattr(one, name) for one in points]) for name in ("velocity", "force", "error"))
-    largest = max(float(np.max(np.abs(force))), 1e-30)
-    matters = PRACTICAL_SHARE * largest
+    matters = PRACTICAL_SHARE * max(float(np.max(np.abs(force - middle_force(points)))), 1e-30)
     columns, plain = shape.columns(speed), 1.0 / np.hypot(error, 0.5 * matters)
     weight = plain
     for _ in range(ITERATIONS):

@@ -19,7 +19,7 @@ CLAIM_THRESHOLD = 2.0 * VERY_STRONG_EVIDENCE
 """Evidence [BIC, deviance] that a claim needs beyond its parameters' price: a choice, checked on recordings with
 nothing missing (`benchmarks.null_simulations`)."""
 PRACTICAL_SHARE = 0.05
-"""Share of the largest force, or of any other size, that is of practical relevance."""
+"""Share of what a force varies by, or of any other size, that is of practical relevance."""
 TIE_RATIO = 0.8
 """Ratio of the gains, or residuals, of two explanations from which they tie: the simpler or more usual one is taken."""
 UNIDENTIFIED_HALF_WIDTH = 0.5

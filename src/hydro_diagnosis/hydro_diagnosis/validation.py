@@ -17,8 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_diagnosis.effects.base import CHANNELS, MOTION, EffectHypothesis, FloatArray, claims_key
-from hydro_diagnosis.effects.memory import WindowStarts
-from hydro_diagnosis.model.simulation import Plant, measurements
+from hydro_diagnosis.model.simulation import WindowSimulation, WindowStarts
 from hydro_diagnosis.preprocessing.smoothing import POSITION_NOISE_GAIN, TOTAL_NOISE_GAIN, VELOCITY_NOISE_GAIN
 from hydro_diagnosis.recording import CHANNEL_UNITS
 from hydro_diagnosis.significance import COVERAGE_FACTOR, ITERATIONS, OUTLIER_FACTOR
@@ -33,10 +32,13 @@ HORIZON_TIME = 0.07
 """Length of a window [s]."""
 FREE_RUN_TIME = 0.5
 """Length of the free run [s]."""
-_PRESSURE_OFFSETS = tuple(1e3 * sign * one for one in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[1:]
-"""Offsets [Pa] of the initial pressure in chamber A that are tried."""
-_START_UNCERTAINTY = np.array([5e-6, 5e-3, 5e4, 5e4])
-"""Uncertainty [m, m/s, Pa, Pa] of the recording's smoothed state."""
+_PRESSURE_OFFSETS = tuple(6.25e-5 * sign * one for one in (0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0) for sign in (1.0, -1.0))[
+    1:
+]
+"""Offsets of the initial pressure in chamber A, over the supply's, that are tried."""
+_START_UNCERTAINTY = np.array([6.25e-5, 0.0625, 3.125e-3, 3.125e-3])
+"""Uncertainty of the recording's smoothed state: position over the stroke, velocity in strokes a second, pressures over
+the supply's."""
 
 
 @dataclass(frozen=True)
@@ -61,9 +63,9 @@ SimulationCache = dict[tuple[Any, ...], SimulatedWindows]
 
 @dataclass(frozen=True)
 class _Windows:
-    """Windows of one segment, and the plant that simulates them."""
+    """Windows of one segment under claims."""
 
-    plant: Plant
+    simulation: WindowSimulation
     begins: WindowStarts
     """First sample of each, shape (windows,)."""
     length: int
@@ -71,13 +73,19 @@ class _Windows:
     noise: dict[str, float]
     """Noise floors by channel."""
 
+    @property
+    def _uncertainty(self) -> FloatArray:
+        """Uncertainty of the recording's smoothed state, SI units, shape (4,)."""
+        size = self.simulation.model.base.size
+        return _START_UNCERTAINTY * np.array([size.length, size.length, size.pressure, size.pressure])
+
     def apart(self, starts: FloatArray) -> dict[str, FloatArray]:
         """Reading minus recording by channel, from starts of all windows, several times over: shape (4, lanes)."""
-        states = self.plant.run(starts, self.begins, self.length)
-        lanes = np.tile(self.begins, states.shape[2] // len(self.begins))
-        at = lanes[None, :] + np.arange(states.shape[0])[:, None]
-        shown = measurements(self.plant, states, self.begins)
-        return {name: (one - self.plant.channels[name][at])[:: self.plant.model.spacing] for name, one in shown.items()}
+        model = self.simulation.model
+        lanes = np.tile(self.begins, starts.shape[1] // len(self.begins))
+        at = lanes[None, :] + np.arange(0, self.length, model.spacing)[:, None]
+        shown = self.simulation.readings(starts, self.begins, self.length)
+        return {name: one[:: model.spacing] - model.channels[name][at] for name, one in shown.items()}
 
     def unpredictable(self, state: FloatArray, apart: dict[str, FloatArray]) -> npt.NDArray[np.bool_]:
         """Return whether the uncertainty of its start explains each window's error, shape (windows,).
@@ -88,13 +96,14 @@ class _Windows:
         error = self._size(apart)
         if not np.any(error > COVERAGE_FACTOR):
             return np.zeros(len(self.begins), dtype=bool)
-        position, step = self.noise.get("piston_position", 0.0), self.plant.model.step * self.plant.model.spacing
+        model = self.simulation.model
+        position, step = self.noise.get("piston_position", 0.0), model.step * model.spacing
         pressures = (TOTAL_NOISE_GAIN * self.noise.get("pressure_" + chamber, 0.0) for chamber in "ab")
         at_one_instant = [POSITION_NOISE_GAIN * position, VELOCITY_NOISE_GAIN * position / step, *pressures]
         draws, windows = 8, len(self.begins)
         moved = np.random.default_rng(0).standard_normal((draws, *state.shape)) * np.array(at_one_instant)[:, None]
         starts = np.concatenate([state[None], state + moved]).transpose(1, 0, 2).reshape(4, -1)
-        shown = measurements(self.plant, self.plant.run(starts, self.begins, self.length), self.begins)
+        shown = self.simulation.readings(starts, self.begins, self.length)
         each = {name: one.reshape(self.length, draws + 1, windows) for name, one in shown.items()}
         scatter = self._size({name: (one[:, 1:] - one[:, :1]).reshape(-1, windows) for name, one in each.items()})
         enough = np.maximum(0.5 * error, OUTLIER_FACTOR * np.nanmedian(scatter))
@@ -113,12 +122,13 @@ class _Windows:
         several pressures are tried first, a step that increases the cost is halved, and the best state is returned.
         """
         state = recorded
-        if self.plant.has_stiction:
-            tries = [state + np.array([[0.0], [0.0], [pressure], [0.0]]) for pressure in _PRESSURE_OFFSETS]
+        if self.simulation.has_stiction:
+            supply = self.simulation.model.base.size.pressure
+            tries = [state + np.array([[0.0], [0.0], [supply * part], [0.0]]) for part in _PRESSURE_OFFSETS]
             costs = np.sum(np.square(self._misses(np.concatenate(tries, axis=1), recorded)), axis=0)
             first = np.argmin(np.where(np.isfinite(costs), costs, np.inf), axis=0)
             state = np.stack(tries)[first, :, np.arange(len(self.begins))].T
-        scale = _START_UNCERTAINTY / 50.0  # steps of the finite differences
+        scale = self._uncertainty / 50.0  # steps of the finite differences
         best, cost = state.copy(), np.full(len(self.begins), np.inf)
         for _ in range(ITERATIONS):
             moved = [state] + [state + scale[:, None] * (np.arange(4) == j)[:, None] for j in range(4)]
@@ -141,7 +151,7 @@ class _Windows:
         apart = self.apart(states)
         parts = [apart[name] / self.noise[name] for name in apart if self.noise.get(name, 0.0) > 0.0]
         variants = states.shape[1] // len(self.begins)
-        parts.append((states - np.tile(recorded, variants)) / _START_UNCERTAINTY[:, None])
+        parts.append((states - np.tile(recorded, variants)) / self._uncertainty[:, None])
         stacked = np.concatenate(parts)
         return stacked.reshape(len(stacked), variants, len(self.begins))
 
@@ -164,10 +174,10 @@ def compare(
         with np.errstate(all="ignore"):
             found: list[SimulatedWindows] = []
             for claims in (before, after):
-                stretch = _Windows(Plant.of(model, claims), begins, length, noise)
+                stretch = _Windows(WindowSimulation(model, claims), begins, length, noise)
                 key = (number, seconds, shooting, *claims_key(claims))
                 if key not in cache:
-                    state = stretch.plant.start(begins)  # as recorded, smoothed
+                    state = stretch.simulation.recorded[:, begins]
                     state = stretch.shot(state) if shooting else state
                     cache[key] = state, stretch.apart(state)
                 found.append(cache[key])

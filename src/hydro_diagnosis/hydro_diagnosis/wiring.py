@@ -18,7 +18,8 @@ import numpy as np
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.bench_parameters import UnknownParameterError, guard_unknown
 from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import means, to_si
+from hydro_diagnosis.io.columns import means
+from hydro_diagnosis.io.units import to_si
 from hydro_diagnosis.recording import MEASURED_CHANNELS
 from hydro_sim.model.bench import Bench
 
@@ -75,15 +76,9 @@ class Repair:
             return columns.changed(self.field, there).changed(self.exchanged_with, source)
         if self.unit and not self.offset:
             return columns.changed(self.field, replace(source, unit=self.unit))
-        steps, factor = list(source.steps), self.factor
-        if factor != 1.0 or self.offset:
-            if steps and steps[-1][0] == "*" and isinstance(steps[-1][1], float):
-                factor *= float(steps.pop()[1])
-            if factor != 1.0:
-                steps.append(("*", factor))
-        if self.offset:
-            steps.append(("+" if self.offset > 0.0 else "-", abs(self.offset) / to_si(source.unit)))
-        return columns.changed(self.field, replace(source, steps=tuple(steps), delay=source.delay + self.delay))
+        offset = self.factor * source.offset + self.offset / to_si(source.unit)
+        factor, delay = self.factor * source.factor, source.delay + self.delay
+        return columns.changed(self.field, replace(source, factor=factor, offset=offset, delay=delay))
 
 
 def reversed_sign(field: str) -> Repair:

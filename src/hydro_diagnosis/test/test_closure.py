@@ -25,6 +25,7 @@ from hydro_diagnosis.effects.memory import Memory, bristle_force, first_order_la
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
+from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
 from hydro_diagnosis.report_json import ClosureReport
 from hydro_diagnosis.stages import naming
 from hydro_sim.model import grammar
@@ -56,11 +57,11 @@ def term(equation: str, form: str, **values: float) -> EffectHypothesis:
 def test_a_lag_is_that_of_its_differential_equation() -> None:
     step, time = 1e-3, 7e-4
     jumps = np.concatenate([np.zeros(2), np.ones(12), np.full(12, -0.4), np.full(12, -0.3)])
-    begins, means = first_order_lag(jumps, step, time, 0.3)
+    means = first_order_lag(jumps, step, time, 0.3)
     now = 0.3
-    for held, begin, mean in zip(jumps, begins, means, strict=True):
+    for held, mean in zip(jumps, means, strict=True):
         course = held + (now - held) * np.exp(-np.linspace(0.0, step, 2001) / time)
-        assert (begin, mean) == pytest.approx((now, np.trapezoid(course, dx=step / 2000) / step), abs=1e-6)
+        assert mean == pytest.approx(np.trapezoid(course, dx=step / 2000) / step, abs=1e-6)
         now = course[-1]
 
 
@@ -290,3 +291,12 @@ def test_a_diagnosis_models_what_has_no_name_and_its_corrected_bench_is_the_benc
     assert again.report.verdict == "no_mismatch"
     twice = replace(again, report=replace(again.report, closures=[ClosureReport(**term)] * 2))
     assert str(twice).lower().count("close") == 1, "what all terms close together is said once"
+
+
+def test_law_of_a_heavy_machine_is_written_and_read_again() -> None:
+    """Weight of a boom of 115 kN, over its stroke."""
+    effect = closure(grammar.FORMS["motion", "table over position"], BENCH, (0.3, 0.45))
+    values = {one.name: 1.15e5 for one in effect.parameters}
+    heavy = corrected_bench(BENCH, [EffectHypothesis(effect, values)])
+    (again,) = claims_of(Bench.from_mapping(heavy.to_mapping()))
+    assert dict(again.values) == values

@@ -24,6 +24,7 @@ from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.pipeline import diagnose
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.shapes import FittedShape, curve_shape, drop_uncertain, missing_indication, simplest_shape
+from hydro_diagnosis.stages.reading import DiagnosisInput
 from hydro_sim.model.bench import Bench
 
 BENCH = parse_bench({"moving_mass": 1.0}, frozenset())
@@ -112,8 +113,8 @@ def test_an_elastic_beginning_is_found_with_its_distance(prandtl: bool) -> None:
     def elastic(position: FloatArray, _v: FloatArray, _a: FloatArray) -> FloatArray:
         memory, level, rise = Memory(STEP), 10.0, 0.003
         if prandtl:
-            return level * (position - memory.play("x", position, 2.0 * rise)) / rise
-        return memory.bristle("x", position, level / rise, np.full_like(position, level))
+            return level * (position - memory.play(position, 2.0 * rise)) / rise
+        return memory.bristle(position, level / rise, np.full_like(position, level))
 
     curve = ForceCurve(recorded(elastic))
     assert curve.terms.prandtl == prandtl and not curve.terms.cell_bandwidth
@@ -122,12 +123,40 @@ def test_an_elastic_beginning_is_found_with_its_distance(prandtl: bool) -> None:
     assert found.shape.names == ["dry"] and found.values[0] == pytest.approx(10.0, rel=0.03)
 
 
-def test_a_slow_cell_is_no_elastic_beginning() -> None:
-    def law(_x: FloatArray, v: FloatArray, _a: FloatArray) -> FloatArray:
-        return Memory(STEP).low_pass("cell", 10.0 * np.sign(v) + 100.0 * v, 1.5, 0.7071)
+def test_friction_below_the_noise_is_named_where_every_stroke_shows_it() -> None:
+    """A sensor of much noise: hardly nine tenths of the samples tell, but all strokes."""
+    curve = ForceCurve.over_speed(recorded(rubbing(dry=7.0), noise=90.0))
+    found = shape_of(curve)
+    assert found.shape.names == ["dry"] and found.values[0] == pytest.approx(7.0, rel=0.15)
+    chance = ForceCurve.over_speed(recorded(rubbing(dry=0.0), noise=90.0))
+    assert chance.opposing_share < 0.8 and missing_indication(chance)
 
-    curve = ForceCurve(recorded(law))
+
+def slow_force(_x: FloatArray, v: FloatArray, _a: FloatArray) -> FloatArray:
+    return Memory(STEP).low_pass(10.0 * np.sign(v) + 100.0 * v, 1.5, 0.7071)
+
+
+def test_a_slow_cell_is_no_elastic_beginning() -> None:
+    curve = ForceCurve(recorded(slow_force))
     assert curve.terms.cell_bandwidth == pytest.approx(1.5, rel=0.35) and not curve.terms.presliding_distance
+
+
+def test_a_cell_that_was_not_recorded_is_no_cause(tmp_path: Path) -> None:
+    """The same force, slow, from two pressures."""
+    tables = [strokes(slow_force, seed=seed) for seed in (0, 1, 2)]
+    bench = parse_bench({"moving_mass": 1.0, "piston_area": 1e-3, "area_ratio": 1.0}, frozenset())
+    for table in tables:
+        force = table.columns.pop("hydraulic_force")
+        table.columns.update(pressure_a=5e6 + 500.0 * force, pressure_b=5e6 - 500.0 * force)
+        pd.DataFrame({"time": table.time, **table.columns}).to_csv(tmp_path / f"{table.name}.csv", index=False)
+    assert not ForceCurve(in_motion(*tables, bench=bench)).terms.cell_bandwidth
+    inputs = DiagnosisInput(
+        recordings=[*tmp_path.glob("*.csv")], holdout=(), bench=bench, model=None, columns=None, without=(),
+        estimate=(), as_wired=True,
+    )  # fmt: skip
+    labels = {effect.label for effect in inputs.prepare(lambda text: None).candidates}
+    assert "sensor_lag:pressure_a" in labels
+    assert not {label for label in labels if label.endswith(("hydraulic_force", "load_force"))}
 
 
 def test_a_spring_and_a_mass_are_terms_beside_the_speed() -> None:

@@ -19,7 +19,7 @@ from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.simulation import Plant
+from hydro_diagnosis.model.simulation import WindowSimulation
 from hydro_diagnosis.preprocessing.smoothing import TOTAL_WIDTH, smooth_kinematic
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report.corrected_bench import claims_of, corrected_bench
@@ -32,7 +32,7 @@ from hydro_sim.model.effects.catalogue import CATALOGUE, label
 from hydro_sim.model.laws import Law, Signals
 from hydro_sim.model.tables import Table
 from tests.checks import each
-from tests.segments import apart, claim, driven, problem_in
+from tests.segments import apart, claim, driven, left_by, problem_in
 
 BENCH = Bench.nominal()
 ADAPTED = [effect.adapted(BENCH) for effect in CANDIDATES]
@@ -105,18 +105,18 @@ BEGINS = np.array([50])
     ],
 )
 def test_piston_sticks_exactly_as_far_as_friction_reaches(label: str, values: tuple[float, ...], moves: bool) -> None:
-    plant = Plant.of(pushed(10.0), [claim(label, *values)])
-    travel = np.abs(plant.run(plant.start(BEGINS), BEGINS, 100)[:, 0, 0] - BENCH.spring_rest_position).max()
+    simulation = WindowSimulation(pushed(10.0), [claim(label, *values)])
+    position = simulation.readings(simulation.recorded[:, BEGINS], BEGINS, 100)["piston_position"]
+    travel = np.abs(position - BENCH.spring_rest_position).max()
     assert travel > 1e-7 if moves else travel < 1e-12
 
 
 def test_sliding_piston_is_stopped_and_stays() -> None:
-    plant = Plant.of(pushed(0.0), [claim("friction_coulomb", 40.0)])
-    state = plant.start(BEGINS)
-    state[1] = 0.02
-    states = plant.run(state, BEGINS, 100)
-    assert states[-1, 1, 0] == 0.0
-    assert states[-1, 0, 0] == states[-40, 0, 0] > BENCH.spring_rest_position
+    simulation = WindowSimulation(pushed(0.0), [claim("friction_coulomb", 40.0)])
+    start = simulation.recorded[:, BEGINS]
+    start[1] = 0.02
+    position = simulation.readings(start, BEGINS, 100)["piston_position"][:, 0]
+    assert position[-1] == position[-40] > BENCH.spring_rest_position
 
 
 def test_friction_is_averaged_over_the_velocities_within_the_test_function() -> None:
@@ -161,14 +161,14 @@ def test_every_value_that_a_diagnosis_may_report_is_simulated() -> None:
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda effect: effect.label)
 def test_simulation_and_diagnosis_mean_the_same_effect(effect: Effect) -> None:
-    """RMS of the difference after up to 40 ms, over the signal's range."""
+    """Of windows the RMS of the difference after up to 40 ms, over the signal's range."""
     claims = [*map(claim, effect.needs), claim(effect.label)]
     run = driven(replace(BENCH, effects=tuple(one.to_mapping() for one in claims)))
     with_it, without = apart(*run, claims), apart(*run, claims[:-1])
-    if effect.label == "backlash:play":  # the diagnosis takes its readings from the middle of the gap in each window
-        assert with_it.pop("load_force") < 0.5 * without.pop("load_force")
+    brief = effect.label == "friction_stribeck"  # a rise that this motion passes within milliseconds
+    assert left_by(run[0], claims) < (0.7 if brief else 0.05)
     assert max(with_it.values()) < 2e-4
-    assert max(without[name] / with_it[name] for name in with_it) > 20.0
+    assert any(without[name] > 20.0 * with_it[name] for name in with_it)
 
 
 LIMITS = {
@@ -213,8 +213,9 @@ def test_simulation_and_diagnosis_mean_the_same_term(every: int) -> None:
         wide = "difference" in law.form or law.equation == "pressure"  # p_a is mostly below p_b
         run = driven(replace(BENCH, closures=(entry(term),)), 560.0 if wide else 280.0)
         with_it, without = apart(*run, [term]), apart(*run, [])
+        assert left_by(run[0], [term]) < 0.3  # of accelerations beyond the test function's bandwidth; others 0.005
         assert max(with_it.values()) < 1e-4  # some turn round within a sample
-        assert max(without[name] / with_it[name] for name in with_it) > 100.0
+        assert any(without[name] > 100.0 * with_it[name] for name in with_it)
 
     each(TERMS[::every], check, lambda law: f"{law.equation} {law.form}")
 

@@ -255,6 +255,37 @@ def test_copies_are_refused_under_another_name_or_in_another_format_too(worn: li
             load_dataset(fitted, held, BENCH)
 
 
+def test_runs_under_one_command_are_no_copies(worn: list[Path], tmp_path: Path) -> None:
+    """The force is computed from the command, and repeats; the position does not."""
+    again, noise = pd.read_csv(worn[0]), np.random.default_rng(1).standard_normal
+    again["piston_position"] += 1e-6 * noise(len(again))
+    paths = [tmp_path / f"{name}.csv" for name in ("first", "second")]
+    for path, run in zip(paths, (pd.read_csv(worn[0]), again), strict=True):
+        run[["time", "hydraulic_force", "piston_position"]].to_csv(path, index=False)
+    fitted, held, _ = load_dataset(paths, [], BENCH)
+    assert {one.recording for one in (*fitted, *held)} == {"first", "second"}
+
+
+@pytest.mark.parametrize(("every", "said"), [(1, "windows of 100 s"), (3, "too many rows are missing")])
+def test_windows_of_a_slow_logger_have_rows_to_evaluate(every: int, said: str, tmp_path: Path) -> None:
+    """A row a second; where every third is missing, none is left whose neighbours are there."""
+    rng, time = np.random.default_rng(0), np.arange(4000.0)
+    position = 0.04 + 0.03 * np.sin(0.01 * time) + 1e-6 * rng.standard_normal(len(time))
+    force = 10.0 * np.sign(np.cos(0.01 * time)) + rng.standard_normal(len(time))
+    kept = time % every > 0.0 if every > 1 else time >= 0.0
+    data = pd.DataFrame({"time": time, "piston_position": position, "hydraulic_force": force})[kept]
+    data.to_csv(tmp_path / "slow.csv", index=False)
+    inputs = DiagnosisInput(
+        recordings=[tmp_path / "slow.csv"], holdout=(), bench={"moving_mass": 1.0}, model=None, columns=None,
+        without=(), estimate=(), as_wired=True,
+    )  # fmt: skip
+    try:
+        notes = inputs.prepare(lambda text: None).report_fields["data_quality"]
+    except InputError as error:
+        notes = [str(error)]
+    assert any(said in note for note in notes), notes
+
+
 def bag(folder: Path, seconds: float) -> Path:
     """A run of the nominal truth: a slow sine, a pause, large steps, a small sine, and so on."""
     drives = 3 * (("sine", 280.0, 1.5), ("hold", 0.0, 1.0), ("smooth_step", 250.0, 1.0), ("sine", 60.0, 0.5))
@@ -350,4 +381,4 @@ def test_memory_does_not_grow_with_the_recording(tmp_path: Path) -> None:
     tracemalloc.stop()
     assert peak < 90e6
     assert sum(map(len, fitted)) == 100_000 and sum(map(len, held)) == 50_000
-    assert any("of 900 s 15 windows" in note for note in notes)
+    assert any("of 900 s the 15 most informative windows" in note for note in notes)

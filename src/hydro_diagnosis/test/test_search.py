@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_core.signals import Waveform
+from hydro_core.signals import FloatArray, Waveform
 from hydro_diagnosis import diagnose
 from hydro_diagnosis.closure.selection import best_closure
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Effect, EffectHypothesis
@@ -183,7 +183,7 @@ def test_hoses_that_widen_are_no_wrong_bulk_modulus() -> None:
     outcome = search(problem, EFFECTS)
     assert [one.effect.label for one in outcome.fit.claims] == [HOSES]
     kept, _ = retain_claims(problem, problem, outcome.fit, outcome.baseline_fit)
-    found = assess(problem, outcome.fit, kept, outcome.baseline_fit, problem, {})
+    found = assess(problem, outcome.fit, kept, outcome.baseline_fit, problem, {}, {"holdout": {}, "free_run": {}})
     assert found.verdict == "unknown" and found.fit.claims == ()
     assert found.dropped[0].values["compliance"] == pytest.approx(1.1e-14, rel=0.02, abs=0.0)
     assert {place.equation for place in found.remainder} <= {"pressure_a", "pressure_b"}
@@ -197,7 +197,7 @@ def test_wrong_bulk_modulus_is_no_hoses() -> None:
     assert rival.score > outcome.fit.score + 100.0
     assert HOSES in [one.claims[-1].effect.label for one in outcome.rivals["bulk_modulus"]]
     kept, bounds = retain_claims(problem, problem, outcome.fit, outcome.baseline_fit)
-    judgement = assess(problem, outcome.fit, kept, outcome.baseline_fit, problem, {})
+    judgement = assess(problem, outcome.fit, kept, outcome.baseline_fit, problem, {}, {"holdout": {}, "free_run": {}})
     (effect,) = effect_reports(
         StageResult(problem=problem, outcome=outcome, assessment=judgement, bounds=bounds, holdout=problem,
                     simulations={}, holdout_report={}, accounted={})
@@ -206,3 +206,15 @@ def test_wrong_bulk_modulus_is_no_hoses() -> None:
     (alike,) = effect.look_alikes
     assert "hoses that widen" in alike.likeness
     assert alike.distinguishable and alike.delta_bic > 100.0
+
+
+def test_parameter_at_whose_step_the_model_runs_away_stays(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> None:
+    whole, start = problem.residual, claim("friction_coulomb", 5.0)
+
+    def runs_away(claims: Sequence[EffectHypothesis]) -> FloatArray:
+        beyond = claims[0].values["force"] > start.values["force"]
+        return np.full_like(whole(claims), np.inf) if beyond else whole(claims)
+
+    monkeypatch.setattr(problem, "residual", runs_away)
+    found = fit(problem, (start,))
+    assert found.claims[0].values == start.values and np.isfinite(found.deviance)

@@ -2,9 +2,8 @@
 """Candidate causes: effects of the bench model (`hydro_sim.model.effects`) with bounds and start values of their fit.
 
 The equations are the model's own: a hook binds an effect to parameter values and recorded signals, and calls the term
-of the same name on arrays. Where the effect does not act, a hook returns its input unchanged. The same hooks serve the
-regression (arrays run over time) and the forward simulation (arrays run over windows): elements with memory use
-`Memory`, which either filters a whole record or advances one step (`effects.dynamics`).
+of the same name on arrays over time. Where the effect does not act, a hook returns its input unchanged. Elements with
+memory use `Memory`, which filters a whole record (`effects.dynamics`).
 """
 
 from __future__ import annotations
@@ -126,8 +125,6 @@ class Effect:
     """Other forms of the same cause and parameters, never claimed; intervals also span those that fit as well."""
     models_presliding: ClassVar[bool] = False
     """Whether it models dry friction elastically (presliding): the model then adds no dry friction and no stiction."""
-    has_no_time_filter: ClassVar[bool] = False
-    """Whether its reading depends only on the present signal, a path-driven memory or slow states, not on a filter."""
     depends_on_acceleration: ClassVar[bool] = False
     """Whether its term depends on the piston's acceleration."""
     is_position_error: ClassVar[bool] = False
@@ -168,8 +165,14 @@ class Effect:
     @cached_property
     def blocks(self) -> frozenset[str]:
         """Blocks of residuals that depend on it."""
-        channel = self.physics.channel if isinstance(self.physics, Sensor) else ""
-        return self.physics.balances or frozenset().union(*(blocks_of(one, channel) for one in self.equations))
+        return self.physics.balances or frozenset().union(
+            *(blocks_of(one, self.sensor_channel) for one in self.equations)
+        )
+
+    @property
+    def sensor_channel(self) -> str:
+        """Channel of the sensor whose error it is; empty if it is no sensor's."""
+        return self.physics.channel if isinstance(self.physics, Sensor) else ""
 
     @property
     def lagged_channel(self) -> str:
@@ -273,13 +276,6 @@ class Effect:
             self._bound(values, memory, bench=bench, velocity=motion.velocity).load(force, motion.position)
         )
 
-    def trace(self, motion: Kinematics, memory: Memory, values: ParameterValues) -> None:
-        """Store the states at the samples in a record's memory, to start simulations, if the hooks store others."""
-
-    def inertia(self, motion: Kinematics, bench: Bench, values: ParameterValues) -> FloatArray:
-        """Return the mass [kg] moved with the load, for an unknown acceleration; else `load` adds its inertia."""
-        return np.zeros_like(motion.position)
-
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         """Reading of a sensor for its true signal."""
         beside = {
@@ -314,7 +310,7 @@ class MachineScales:
 
 
 def scale_bounds(effect: Effect, machine: MachineScales) -> Effect:
-    """Return the effect with its parameters' bounds widened to the machine's scales, never narrowed."""
+    """Return the effect with its parameters' bounds widened to the machine's scales, those of speeds set to them."""
     slow = 0.02 * machine.speed
     fading = 3.0**-0.5 * machine.speed  # of a rise towards standstill exp(-3), 5 %, are left at the top speed
     largest = {
@@ -324,7 +320,11 @@ def scale_bounds(effect: Effect, machine: MachineScales) -> Effect:
     parameters = []
     for one in effect.parameters:
         reach, low = largest.get(one.unit, 0.0), one.low  # 0 where there is no scale
-        if one.unit in ("m/s", "N/m") and one.smallest_reported == 0.0:
+        if one.unit == "m/s" and one.smallest_reported == 0.0:  # a slower fading cannot be told from dry friction
+            starts = tuple(min(start, 0.5 * reach) for start in one.start_values)
+            parameters.append(replace(one, low=min(low, 1e-3 * reach), high=reach, start_values=starts))
+            continue
+        if one.unit == "N/m" and one.smallest_reported == 0.0:
             low = min(low, 1e-3 * reach)
         elif low < 0.0 and one.neutral == 0.0 and low == -one.high:
             low = min(low, -reach)

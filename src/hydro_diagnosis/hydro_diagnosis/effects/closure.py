@@ -110,10 +110,6 @@ class Closure(Effect):
         return "closure of flows" if flows else "closure of forces"
 
     @property
-    def has_no_time_filter(self) -> bool:  # type: ignore[override]
-        return self.memory_element is None or self.memory_element.kind in ("path", "slow")
-
-    @property
     def depends_on_acceleration(self) -> bool:  # type: ignore[override]
         return "acceleration" in self.law.uses
 
@@ -126,11 +122,12 @@ class Closure(Effect):
         acting = _HOOKS.get(self.law.equation, {"leaks"})
         if self.law.equation == "actuation" and not self.law.where:  # a term of the spool's position
             acting = {"command"}
-        own = {hook for hook in ("inertia", "invert_reading") if getattr(type(self), hook) is not getattr(Effect, hook)}
-        return not (acting | own).isdisjoint(hooks)
+        if type(self).invert_reading is not Effect.invert_reading:
+            acting = {*acting, "invert_reading"}
+        return not acting.isdisjoint(hooks)
 
     def adapted(self, bench: Bench) -> Closure:
-        parameters = self.physics.fitted_parameters(None)
+        parameters = self.physics.fitted_parameters(bench)
         if self.probes and isinstance(self.law, Law):  # thresholds, whose range is that of the recordings
             over = {one.name for one in self.law.shape_parameters if one.threshold_signal}
             about: dict[str, Any] = {"low": self.limits[0], "high": self.limits[1], "start_values": self.probes}
@@ -159,10 +156,10 @@ class Closure(Effect):
         else:
             signal = getattr(at, element.signal)
         if element.kind == "slow":
-            return at.replace(memory=memory.lag(self.label, np.asarray(signal), values["time"], 0.0))
+            return at.replace(memory=memory.lag(np.asarray(signal), values["time"], 0.0))
         if element.kind == "lag":
-            return at.replace(memory=memory.lag(self.label, signal, values["time"]))
-        return at.replace(memory=memory.bristle(self.label, signal, 1.0 / values["path"], np.ones_like(signal)))
+            return at.replace(memory=memory.lag(signal, values["time"]))
+        return at.replace(memory=memory.bristle(signal, 1.0 / values["path"], np.ones_like(signal)))
 
     def term_value(self, at: Signals, values: ParameterValues, bench: Bench | None = None) -> FloatArray:
         """Value of the term, in the unit of its equation."""
@@ -187,11 +184,6 @@ class Closure(Effect):
         at = self._remembering(Signals(current=path), memory, values)
         return spool + self.term_value(at, values).reshape(spool.shape)
 
-    def trace(self, motion: Kinematics, memory: Memory, values: ParameterValues) -> None:
-        """Store the path memory at the samples: the hooks of flows run between them, at the middles."""
-        if self.acts_in("leaks") and self.memory_element is not None and self.memory_element.kind == "path":
-            self._remembering(Signals(motion.position, motion.velocity), memory, values)
-
 
 class EdgeClosure(Closure):
     """Relative loss of the flow through the valve's edges; its memory is driven by the spool's mean position."""
@@ -203,9 +195,6 @@ class EdgeClosure(Closure):
         lost = edge_losses(bench, openings, oil.pressures, lambda at: self.term_value(at.replace(memory=past), values))
         return flows[0] - lost[0], flows[1] - lost[1]
 
-    def trace(self, motion: Kinematics, memory: Memory, values: ParameterValues) -> None:
-        """Store nothing: the memory is driven by the spool, not by the motion."""
-
 
 class LoadMassClosure(Closure):
     """Additional mass that moves with the load."""
@@ -213,12 +202,8 @@ class LoadMassClosure(Closure):
     def load(
         self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: ParameterValues
     ) -> FloatArray:
-        if motion.acceleration is None:  # it is being computed: see `inertia`
-            return force
-        return force + motion.acceleration * self.inertia(motion, bench, values)
-
-    def inertia(self, motion: Kinematics, bench: Bench, values: ParameterValues) -> FloatArray:
-        return self.term_value(Signals(motion.position, motion.velocity, acceleration=1.0), values, bench)
+        at = Signals(motion.position, motion.velocity, acceleration=motion.acceleration)
+        return force + self.term_value(at, values, bench)
 
 
 class PressureSensorClosure(Closure):

@@ -126,7 +126,7 @@ class SupplyDroop(Effect):
     """Droop of the supply pressure with the flow demand, after a first-order lag."""
 
     def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
-        return supply - values["resistance"] * memory.lag("supply", demand, values["time_constant"])
+        return supply - values["resistance"] * memory.lag(demand, values["time_constant"])
 
 
 class Stribeck(Effect):
@@ -147,7 +147,7 @@ class FrictionPresliding(Effect):
 
     def opposing_force(self, force: FloatArray, level: FloatArray, motion: Kinematics, memory: Memory,
                        values: ParameterValues) -> FloatArray:  # fmt: skip
-        return force + memory.bristle("presliding", motion.position, values["stiffness"], level)
+        return force + memory.bristle(motion.position, values["stiffness"], level)
 
 
 class Backlash(Effect):
@@ -156,7 +156,7 @@ class Backlash(Effect):
     def load(
         self, force: FloatArray, motion: Kinematics, bench: Bench, memory: Memory, values: ParameterValues
     ) -> FloatArray:
-        dragged = memory.play("backlash", motion.position, values["width"])
+        dragged = memory.play(motion.position, values["width"])
         return force - bench.spring_stiffness * (motion.position - dragged)
 
 
@@ -174,7 +174,7 @@ class SensorLag(Effect):
     def read_sensor(self, channel: str, signal: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         if channel != self.lagged_channel:
             return signal
-        return memory.low_pass(channel, signal, values["bandwidth"], values["damping"])
+        return memory.low_pass(signal, values["bandwidth"], values["damping"])
 
     def invert_reading(self, channel: str, reading: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
         if channel != self.lagged_channel:

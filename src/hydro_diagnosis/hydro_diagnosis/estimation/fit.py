@@ -58,7 +58,7 @@ def jacobian(problem: Problem, claims: Sequence[EffectHypothesis], residual: Flo
     """Jacobian of the residual by one-sided differences over 1/1000 of a span, upwards unless a bound is closer.
 
     In residuals per `FitParameter.span`, shape (n, k - first). `residual`: at these values. `first`: index of the first
-    parameter of which a column is computed.
+    parameter of which a column is computed. Zeros for a parameter at whose step the model runs away.
     """
     parameters, values = pack(claims)
     effects = [claim.effect for claim in claims]
@@ -70,6 +70,7 @@ def jacobian(problem: Problem, claims: Sequence[EffectHypothesis], residual: Flo
         moved = values.copy()
         moved[k] += step
         columns[:, k - first] = (problem.residual(unpack(effects, moved)) - residual) * (parameter.span / step)
+    columns[:, ~np.isfinite(columns).all(axis=0)] = 0.0
     return columns
 
 

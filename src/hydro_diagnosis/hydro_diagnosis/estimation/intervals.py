@@ -112,11 +112,17 @@ class Interval:
 
 
 def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Interval]]:
-    """Return the fit without claims whose intervals include the neutral values, and the intervals of its parameters."""
+    """Return the fit without claims whose intervals include the neutral values, and the intervals of its parameters.
+
+    A ratio whose interval reaches the end of its range goes too: where nothing else tells the size of what it scales, a
+    smaller ratio is a smaller residual.
+    """
     while True:
         bounds = intervals(problem, found)
-        standing = [claim for claim, own in by_claim(found.claims, bounds)
-                    if claim.effect.estimated or not _includes_neutral(claim, own)]  # fmt: skip
+        standing = [
+            claim for claim, own in by_claim(found.claims, bounds)
+            if claim.effect.estimated or not (_includes_neutral(claim, own) or _at_limit(claim, own))
+        ]  # fmt: skip
         ids = {claim.effect.id for claim in standing}
         standing = [claim for claim in standing if set(claim.effect.needs) <= ids]
         if len(standing) == len(found.claims):
@@ -129,6 +135,13 @@ def _includes_neutral(claim: EffectHypothesis, bounds: Sequence[Interval]) -> bo
     pairs = list(zip(claim.effect.parameters, bounds, strict=True))
     telling = [(one, bound) for one, bound in pairs if one.smallest_reported > 0.0] or pairs[:1]
     return all(bound.low <= one.neutral <= bound.high for one, bound in telling)
+
+
+def _at_limit(claim: EffectHypothesis, bounds: Sequence[Interval]) -> bool:
+    """Return whether the interval of a ratio, of which 1 is neutral, reaches the end of its range."""
+    pairs = zip(claim.effect.parameters, bounds, strict=True)
+    ratios = [(one, bound) for one, bound in pairs if one.unit == "-" and one.neutral == 1.0 and one.span > 0.0]
+    return any(bound.low <= 1.001 * one.low or bound.high >= 0.999 * one.high for one, bound in ratios)
 
 
 def intervals(problem: Problem, found: Fit) -> list[Interval]:

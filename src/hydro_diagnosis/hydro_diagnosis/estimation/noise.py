@@ -18,10 +18,11 @@ from scipy.ndimage import distance_transform_edt
 from scipy.signal import lfilter
 from scipy.special import ndtr
 
+from hydro_core.bench_scales import unit_ratio
 from hydro_diagnosis.bench_parameters import load_cell_at_rod
 from hydro_diagnosis.effects.base import EffectHypothesis, FloatArray, Pair
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import AVERAGING_TIME, OBSERVER_TIME_CONSTANT
+from hydro_diagnosis.model.chambers import AVERAGING_TIME, observer_gain
 from hydro_diagnosis.preprocessing.smoothing import (
     ACCELERATION_NOISE_GAIN,
     KINEMATIC_WIDTH,
@@ -33,12 +34,13 @@ from hydro_diagnosis.recording import MEASURED_CHANNELS
 from hydro_diagnosis.significance import OUTLIER_FACTOR
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects.base import DECLARED_SIZE
 
 if TYPE_CHECKING:
     from hydro_diagnosis.model.segment_model import SegmentModel
 
 VELOCITY_UNCERTAINTY = 1e-3
-"""Uncertainty [m/s] of the velocity near standstill."""
+"""Uncertainty [m/s] of the velocity near standstill, of a machine of `DECLARED_SIZE`."""
 
 
 def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
@@ -70,7 +72,8 @@ def sensor_noise(models: Sequence[SegmentModel]) -> dict[str, float]:
 
 
 NOISE_FLOOR = {"pressure_a": 300.0, "pressure_b": 300.0, "motion": 0.05, "load": 0.03, "hydraulic": 0.02}
-"""Lower bound [Pa, N] of the residuals' standard deviations, by discretisation (diagnosis.md, "Noise floor")."""
+"""Lower bound [Pa, N] of the residuals' standard deviations, by discretisation (diagnosis.md, "Noise floor"), of a
+machine of `DECLARED_SIZE`."""
 
 
 def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> dict[str, float]:
@@ -90,7 +93,11 @@ def residual_noise(sensors: Mapping[str, float], bench: Bench, step: float) -> d
     }
     for chamber in "ab":
         noise["pressure_" + chamber] = sensors.get("pressure_" + chamber, 0.0) * TOTAL_NOISE_GAIN
-    return {channel: hypot(deviation, NOISE_FLOOR[channel]) for channel, deviation in noise.items()}
+    return {
+        channel: hypot(deviation, NOISE_FLOOR[channel] * unit_ratio(unit, DECLARED_SIZE, bench.size))
+        for channel, deviation in noise.items()
+        for unit in ("Pa" if channel.startswith("pressure") else "N",)
+    }
 
 
 def mass_attenuation(models: Sequence[SegmentModel], sensors: Mapping[str, float], mass: float) -> float:
@@ -114,6 +121,8 @@ class SegmentNoise:
 
     def __init__(self, model: SegmentModel, sensors: Mapping[str, float], *, flows: bool) -> None:
         self._model = model
+        self._speeds = unit_ratio("m/s", DECLARED_SIZE, model.base.size)
+        self._doubt = VELOCITY_UNCERTAINTY * self._speeds
         self.residuals = residual_noise(sensors, model.base, model.step * model.spacing)
         """Standard deviations by sensor noise, by channel."""
         self.flows = self._of_flows(sensors) if flows else None
@@ -128,9 +137,11 @@ class SegmentNoise:
         model = self._model
         level = model.dry_friction_magnitude(claims)
         doubt = self._swing(
-            claims, VELOCITY_UNCERTAINTY + 0.5 * np.abs(model.a) * model.spacing * model.step, np.zeros_like(level)
+            claims,
+            self._doubt + 0.5 * np.abs(model.a) * model.spacing * model.step,
+            np.zeros_like(level),
         )
-        beyond = model.dry_friction_magnitude(claims, np.full_like(model.v, 1.0))  # 1 m/s: sliding
+        beyond = model.dry_friction_magnitude(claims, np.full_like(model.v, self._speeds))  # at 1 m/s it slides
         if not any(claim.effect.models_presliding for claim in claims):  # bristles: no jump of the force
             doubt = np.hypot(doubt, np.sqrt(reversals) * self._swing(claims, self._kink(claims), beyond))
         late = [claim for claim in claims if claim.effect.lagged_channel == "hydraulic_force"]
@@ -152,14 +163,14 @@ class SegmentNoise:
     @cached_property
     def reversals(self) -> int:
         """Number of stops and reversals of the piston; encoder noise at rest does not count."""
-        slides = ~self._resting & (np.abs(self._model.v) > OUTLIER_FACTOR * VELOCITY_UNCERTAINTY)
+        slides = ~self._resting & (np.abs(self._model.v) > OUTLIER_FACTOR * self._doubt)
         marks = self._resting.astype(int) - slides.astype(int)
         return int(np.count_nonzero(np.diff(marks[marks != 0], prepend=-1) == 2))
 
     @cached_property
     def _resting(self) -> npt.NDArray[np.bool_]:
         model = self._model
-        resting = np.abs(model.v) < VELOCITY_UNCERTAINTY
+        resting = np.abs(model.v) < self._doubt
         turns = model.v[:-1] * model.v[1:] <= 0.0
         resting[:-1] |= turns
         resting[1:] |= turns
@@ -177,7 +188,7 @@ class SegmentNoise:
         """Half the change [N] of dry friction, less `but` [N], from -`velocity` to +`velocity` about the recorded."""
         model = self._model
         low, high = (
-            (model.dry_friction_magnitude(claims, one) - but) * np.tanh(one / VELOCITY_UNCERTAINTY)
+            (model.dry_friction_magnitude(claims, one) - but) * np.tanh(one / self._doubt)
             for one in (model.v - velocity, model.v + velocity)
         )
         return np.asarray(np.abs(high - low) / 2.0)
@@ -222,5 +233,5 @@ class SegmentNoise:
             dither = white_noise(current[model.segment.phase :: model.spacing])
             per_ampere = stiff * bench.valve_gain * np.sqrt(np.maximum(drop, noise)) * model.step
             built = built + np.square(per_ampere) * np.where(seen, 0.0, model.spacing * dither**2)
-        kept = (1.0 - model.step / OBSERVER_TIME_CONSTANT) ** 2
+        kept = (1.0 - observer_gain(model.step)) ** 2
         return np.sqrt(np.maximum(lfilter([1.0], [1.0, -kept], built), 0.0))

@@ -198,7 +198,8 @@ class Problem:
         for key, change in (self._changes(claims) if self.half_rows is not None else {}).items():
             seconds = len(self.models[key[1]].time) * self.models[key[1]].step
             count = max(round(FOLD_TIME * len(change) / seconds), 1)  # root mean square around each residual
-            unseen[key] = np.sqrt(uniform_filter1d(np.square(change), count, mode="nearest"))
+            around = uniform_filter1d(np.square(change), count, mode="nearest")
+            unseen[key] = np.sqrt(np.maximum(around, 0.0))  # beside a spike its running sum may round below 0
         self.uncertainty = tuple(float(np.sum(one)) for one in (*doubt, *unseen.values()))
         """Sum of the uncertainty per segment, all zeros without any: identifies the deviations."""
         self.deviations = np.empty(len(self.layout.time))

@@ -66,7 +66,7 @@ def starting_bench(
     if not any(is_missing(bench, name) for name in names):
         return bench  # a fit without the causes, not known yet, would leave the given values
     share = min(12.0 / sum(len(one) * one.step for one in segments), 1.0)  # of each segment, 12 s in all
-    short = [one.cut(0, max(round(share * len(one)), min(len(one), round(2.0 / one.step)))) for one in segments]
+    short = [one.cut(0, max(round(share * len(one)), min(len(one), round(4.0 / one.step)))) for one in segments]
     tried = []
     for size in (1.0, 0.1, 10.0):  # start sizes of parameters not given, as multiples of the stand-in
         tried.append(_iterate_bench(short, _start(bench, names, size, short), baseline, names))

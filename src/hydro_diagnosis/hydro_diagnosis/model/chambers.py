@@ -5,8 +5,7 @@ The two chamber equations (paper eq. q13, physics.md) are integrated from sample
 difference of recorded positions, exactly; flow is the mean opening of the valve within the sample times the root of the
 pressure drop at its middle.
 
-The compiled loops serve the forward simulation, too: one pass over arrays of shape (n,), results written into arrays
-that are passed. `bench` is a record of `hydro_sim.model.bench.BENCH_DTYPE`.
+The compiled loops run once over arrays of shape (n,); results are written into arrays that are passed.
 """
 
 from __future__ import annotations
@@ -30,7 +29,6 @@ from hydro_sim.jit import njit
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.compiled_equations import equations as compiled
-from hydro_sim.model.hydraulics import pressure_rates
 
 
 @njit
@@ -90,6 +88,11 @@ AVERAGING_TIME = 0.1
 """Averaging time [s] of the hydraulic balance."""
 
 
+def observer_gain(step: float) -> float:
+    """Return the observer's gain per sample of `step` [s]: at most 1, beyond which it would oscillate, and run away."""
+    return min(step / OBSERVER_TIME_CONSTANT, 1.0)
+
+
 @njit
 def innovations(recorded, increments, gain):
     """Innovations of an observer, shape (n,): a recorded signal less the sum of `increments`, high-passed.
@@ -107,47 +110,6 @@ def innovations(recorded, increments, gain):
         beyond[k] = now - slow
         slow += gain * (now - slow)
     return beyond
-
-
-@njit
-def derivatives(rates, bench, state, flows_a, flows_b, stiff_a, stiff_b, against, load):
-    """Write d/dt of [x_p, x_p', p_a, p_b], shape (4, n); forces `against` the motion and of the `load` in N, (n,)."""
-    for k in range(state.shape[1]):
-        v = state[1, k]
-        driven = compiled.hydraulic_force(bench, state[2, k], state[3, k])
-        rates[0, k] = v
-        rates[1, k] = (driven - bench.viscous_friction * v - against[k] - load[k]) / bench.moving_mass
-        stiff, flows = (stiff_a[k], stiff_b[k]), (flows_a[k], flows_b[k])
-        rates[2, k], rates[3, k] = compiled.pressure_rates(bench, stiff, flows, v)
-
-
-@njit
-def _nominal(bench, x, v, p_a, p_b, current):
-    rate_a, rate_b = pressure_rates(bench, p_a, p_b, x, v, current)
-    driven = compiled.hydraulic_force(bench, p_a, p_b) - bench.viscous_friction * v - compiled.spring_force(bench, x)
-    return v, driven / bench.moving_mass, rate_a, rate_b
-
-
-@njit
-def simulate_nominal(states, bench, state, begins, spool, step):
-    """Simulate windows of the bench without effects by RK4: write `states`, (length, 4, n), from `state`, (4, n).
-
-    `begins`: first sample of each; `spool`: A, shape (samples, substeps), held for a substep of `step` [s].
-    """
-    for k in range(len(begins)):
-        x, v, p_a, p_b = state[0, k], state[1, k], state[2, k], state[3, k]
-        for i in range(len(states)):
-            states[i, 0, k], states[i, 1, k], states[i, 2, k], states[i, 3, k] = x, v, p_a, p_b
-            for s in range(spool.shape[1]):
-                u, half = spool[begins[k] + i, s], 0.5 * step
-                a = _nominal(bench, x, v, p_a, p_b, u)
-                b = _nominal(bench, x + half * a[0], v + half * a[1], p_a + half * a[2], p_b + half * a[3], u)
-                c = _nominal(bench, x + half * b[0], v + half * b[1], p_a + half * b[2], p_b + half * b[3], u)
-                d = _nominal(bench, x + step * c[0], v + step * c[1], p_a + step * c[2], p_b + step * c[3], u)
-                x += step / 6.0 * (a[0] + 2.0 * b[0] + 2.0 * c[0] + d[0])
-                v += step / 6.0 * (a[1] + 2.0 * b[1] + 2.0 * c[1] + d[1])
-                p_a += step / 6.0 * (a[2] + 2.0 * b[2] + 2.0 * c[2] + d[2])
-                p_b += step / 6.0 * (a[3] + 2.0 * b[3] + 2.0 * c[3] + d[3])
 
 
 SUBSTEPS = 4

@@ -46,7 +46,7 @@ class Responses:
         self.bench = self.model.bench(claims)
         self._channels = {name for block in blocks for name in BLOCKS[block]}
         self._memory = Memory(model.step, self.model.other_signals)
-        self._gain = model.step / chambers.OBSERVER_TIME_CONSTANT
+        self._gain = chambers.observer_gain(model.step)
         self._zeros = np.zeros_like(model.time)
 
     @cached_property

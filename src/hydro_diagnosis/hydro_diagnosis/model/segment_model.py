@@ -22,6 +22,7 @@ from numpy.polynomial.hermite_e import hermegauss
 from scipy.ndimage import correlate1d
 from scipy.signal import lfilter
 
+from hydro_core.bench_scales import unit_ratio
 from hydro_diagnosis.bench_parameters import load_cell_at_rod
 from hydro_diagnosis.effects.base import (
     HYDRAULIC,
@@ -38,7 +39,7 @@ from hydro_diagnosis.effects.base import (
 )
 from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.model import chambers
-from hydro_diagnosis.model.chambers import AVERAGING_TIME, OBSERVER_TIME_CONSTANT, ChamberRun
+from hydro_diagnosis.model.chambers import AVERAGING_TIME, OBSERVER_TIME_CONSTANT, ChamberRun, observer_gain
 from hydro_diagnosis.preprocessing.smoothing import (
     KINEMATIC_WIDTH,
     STRIDE,
@@ -53,6 +54,7 @@ from hydro_diagnosis.preprocessing.smoothing import (
 from hydro_diagnosis.recording import Segment
 from hydro_sim.model import equations as eq
 from hydro_sim.model.bench import Bench
+from hydro_sim.model.effects.base import DECLARED_SIZE
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 LAG_ITERATIONS = 3
@@ -148,7 +150,7 @@ class SegmentModel:
         """
         if bench.load_cell_bandwidth is None:
             return force
-        return self.memory.low_pass("load_force", force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
+        return self.memory.low_pass(force, bench.load_cell_bandwidth, LOAD_CELL_DAMPING)
 
     @cached_property
     def _smoothed_signals(self) -> dict[str, FloatArray]:
@@ -268,7 +270,7 @@ class SegmentModel:
         if curved:  # the integral has no absolute level: the sensor's slope is taken at the recorded level
             increments = increments * self.reading_slope(channel, self.true_signal(channel, claims), curved)
             claims = [claim for claim in claims if claim.effect.nonlinear_channel != channel]
-        gain = self.step / OBSERVER_TIME_CONSTANT
+        gain = observer_gain(self.step)
         if not claims_acting_in(claims, "read_sensor"):
             return np.asarray(chambers.innovations(self.channels[channel], increments, gain))
         integral = np.concatenate([[0.0], np.cumsum(increments[:-1])])
@@ -323,7 +325,10 @@ class SegmentModel:
             (weight, self.v + node * width * self.a)
             for node, weight in zip(_NODES, _WEIGHTS / _WEIGHTS.sum(), strict=True)
         )
-        slip = 3e-4  # m/s over which dry friction changes sign: twice the noise of a velocity from a 1 um encoder
+        slip = 3e-4 * unit_ratio(
+            "m/s", DECLARED_SIZE, self.base.size
+        )  # m/s over which dry friction changes sign: twice
+        # the noise of a velocity from a 1 um encoder on a stroke of 80 mm
         return tuple((weight, velocity, np.tanh(velocity / slip)) for weight, velocity in nodes)
 
     def required_force(self, claims: Sequence[EffectHypothesis]) -> FloatArray:

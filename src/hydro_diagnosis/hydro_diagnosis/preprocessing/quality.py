@@ -115,7 +115,7 @@ def frozen_encoder(columns: Mapping[str, FloatArray], step: float, bench: Bench)
     position = columns["piston_position"]
     steps = np.abs(np.diff(position))
     quantum = float(np.min(steps[steps > 0.0], initial=np.inf))
-    least = max(MIN_TRAVEL, MIN_CHANGE_QUANTA * quantum) if np.isfinite(quantum) else MIN_TRAVEL
+    least = max(least_travel(position, bench), MIN_CHANGE_QUANTA * quantum if np.isfinite(quantum) else 0.0)
 
     def load_moves(begin: int, end: int) -> bool:
         """Return whether the load force changes by more than the spring's over `least`, and by more than its noise."""
@@ -155,18 +155,27 @@ def _runs(values: FloatArray) -> list[tuple[int, int]]:
     return [(b, e + 1) for b, e in zip(edges[::2], edges[1::2], strict=True) if e - b >= 40]
 
 
-MIN_SEGMENT_TIME = 1.5
-"""Shortest segment [s] that is used."""
-STOP_MARGIN = 5e-4
-"""Distance [m] from an end stop within which samples are excluded."""
-MIN_TRAVEL = 2e-4
-"""Range [m] of the position below which a segment (of a tripped bench, say) is omitted; below a tenth of it a recording
-is refused. An encoder that repeats its value while the piston moves so far is frozen.
-"""
+MIN_SEGMENT_TIME, MIN_STROKE_TIME = 1.5, 0.4
+"""Shortest segment [s] that is used; the second where longer ones hold less than half of the samples, as of a fast
+cylinder from stop to stop."""
+STOP_MARGIN = 0.006
+"""Distance from an end stop, over the stroke, within which samples are excluded."""
+_MIN_TRAVEL = 0.0025
 SATURATION_SHARE = 0.999
 """Share of the largest valve current from which the valve counts as saturated."""
 REMEDY = "record it with lower gains, or give the box a bench.yaml with a larger valve_nominal_flow"
 """Advice for a bench that trips or saturates; with a larger nominal flow the law compensates the velocity in part."""
+
+
+def least_travel(position: FloatArray, bench: Bench) -> float:
+    """Return the range [m] of the position below which a segment (of a tripped bench, say) is omitted.
+
+    Below a tenth of it a recording is refused. An encoder that repeats its value while the piston moves so far is
+    frozen. It is a four-hundredth of the stroke, or of the range recorded where the stroke is unknown.
+    """
+    known = position[np.isfinite(position)]
+    length = bench.stroke if is_known(bench, "stroke") else float(np.ptp(known))
+    return max(_MIN_TRAVEL * length, OUTLIER_FACTOR * white_noise(known))
 
 
 def check_recording(table: RawTable, bench: Bench) -> Recording:
@@ -194,10 +203,10 @@ def check_recording(table: RawTable, bench: Bench) -> Recording:
     _refuse_useless(table.name, columns, bench)
     bad = _bad_samples(columns, table.time, step, bench, notes)
     outside = _outside_equations(columns, bench, notes)
-    segments = _segments(table.name, step, index, columns, bad | outside, notes, resampled)
+    segments = _segments(table.name, step, index, columns, bad | outside, bench, notes, resampled)
     if not segments:
         raise UnusableRecordingError(
-            f"{table.name}: the bench moves without a gap for less than {MIN_SEGMENT_TIME:g} s: "
+            f"{table.name}: the bench moves without a gap for less than {MIN_STROKE_TIME:g} s: "
             + "; ".join([*notes, REMEDY if outside.any() else "record 20 s of motion or more"])
         )
     return Recording(table.name, tuple(segments), tuple(f"{table.name}: {note}" for note in (*table.notes, *notes)))
@@ -238,11 +247,11 @@ def _refuse_useless(name: str, columns: dict[str, FloatArray], bench: Bench) -> 
     if "piston_position" in columns:
         position, stroke = columns["piston_position"], bench.stroke
         low, high = float(np.nanmin(position)), float(np.nanmax(position))
-        if high - low < MIN_TRAVEL / 10.0:
+        if high - low < least_travel(position, bench) / 10.0:
             raise UnusableRecordingError(
                 f"{name}: the piston position does not change (by {high - low:.2g} m): nothing can be diagnosed"
             )
-        beyond = (position < -STOP_MARGIN) | (position > stroke + STOP_MARGIN)
+        beyond = (position < -STOP_MARGIN * stroke) | (position > (1.0 + STOP_MARGIN) * stroke)
         if is_known(bench, "stroke") and np.mean(beyond) >= 0.2:
             raise UnusableRecordingError(
                 f"{name}: piston_position runs from {1e3 * low:.4g} to {1e3 * high:.4g} mm, the stroke of the bench "
@@ -279,20 +288,32 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
     """Mask of the samples within 100 of an end stop or of cavitation, which no equation here describes, (n,).
 
     A chamber cavitates if its pressure, or the moving average, is below half a bar by more than the noise; below minus
-    half a bar if the tank pressure is at most half a bar, since gauges then read relative to the atmosphere.
+    half a bar if gauges read relative to the atmosphere: the tank pressure is at most half a bar, or a fifth of the
+    samples would cavitate.
     """
     outside = np.zeros(len(next(iter(columns.values()))), dtype=bool)
     if "piston_position" in columns and is_known(bench, "stroke"):
         position = columns["piston_position"]
-        outside |= (position < STOP_MARGIN) | (position > bench.stroke - STOP_MARGIN)
-    least = 5e4 if bench.tank_pressure > 5e4 else -5e4
-    for name in ("pressure_a", "pressure_b"):
-        if name in columns and "valve_current" in columns:  # else no equation of the oil is checked
-            pressure = columns[name]
+        outside |= (position < STOP_MARGIN * bench.stroke) | (position > (1.0 - STOP_MARGIN) * bench.stroke)
+    checked = [name for name in ("pressure_a", "pressure_b") if name in columns and "valve_current" in columns]
+
+    def below(least: float) -> Mask:
+        mask = np.zeros_like(outside)
+        for pressure in (columns[name] for name in checked):  # else no equation of the oil is checked
             known = np.isfinite(pressure)
             noise, pressure = white_noise(pressure[known]), np.where(known, pressure, np.median(pressure[known]))
             for count in (1, AVERAGED_SAMPLES):
-                outside |= uniform_filter1d(pressure, count) < least - OUTLIER_FACTOR * noise / count**0.5
+                mask |= uniform_filter1d(pressure, count) < least - OUTLIER_FACTOR * noise / count**0.5
+        return mask
+
+    empty = below(5e4 if bench.tank_pressure > 5e4 else -5e4)
+    if bench.tank_pressure > 5e4 and np.mean(empty) > 0.2:
+        notes.append(
+            f"the pressures are about 0 in {100.0 * float(np.mean(empty)):.0f} % of the samples, as gauges read; "
+            "if they are relative to the atmosphere, so must be the bench file's tank_pressure and supply_pressure"
+        )
+        empty = below(-5e4)
+    outside |= empty
     if not outside.any():
         return outside
     notes.append(
@@ -303,7 +324,14 @@ def _outside_equations(columns: dict[str, FloatArray], bench: Bench, notes: list
 
 
 def _segments(
-    name: str, step: float, index: Rows, columns: dict[str, FloatArray], bad: Mask, notes: list[str], resampled: bool
+    name: str,
+    step: float,
+    index: Rows,
+    columns: dict[str, FloatArray],
+    bad: Mask,
+    bench: Bench,
+    notes: list[str],
+    resampled: bool,
 ) -> list[Segment]:
     """Segments on the box's clock, cut where more than five rows are missing."""
     good = np.flatnonzero(~bad)
@@ -314,14 +342,18 @@ def _segments(
         notes.append(f"{len(good) - len(unique)} samples come twice; the first was kept")
     rows = good[first]
     cuts = np.flatnonzero(np.diff(unique) > 6) + 1
+    pieces = list(zip([0, *cuts.tolist()], [*cuts.tolist(), len(unique)], strict=True))
+    lengths = [int(unique[end - 1] - unique[begin]) + 1 for begin, end in pieces]
+    long = sum(length for length in lengths if length * step >= MIN_SEGMENT_TIME)
+    least = MIN_SEGMENT_TIME if long >= 0.5 * sum(lengths) else MIN_STROKE_TIME
+    travel = least_travel(columns["piston_position"], bench) if "piston_position" in columns else 0.0
     segments, bridged, short, still = [], 0, 0, 0
-    for begin, end in zip([0, *cuts], [*cuts, len(unique)], strict=True):
+    for (begin, end), length in zip(pieces, lengths, strict=True):
         at = unique[begin:end]
-        length = int(at[-1] - at[0]) + 1
         found = {key: values[rows[begin:end]] for key, values in columns.items()}
-        if length * step < MIN_SEGMENT_TIME:
+        if length * step < least:
             short += length
-        elif "piston_position" in found and np.ptp(found["piston_position"]) < MIN_TRAVEL:
+        elif "piston_position" in found and np.ptp(found["piston_position"]) < travel:
             still += length
         else:
             bridged += length - len(at)
@@ -339,5 +371,5 @@ def _segments(
     if still:
         notes.append(f"{still} samples in which the piston stands still were not used")
     if short:
-        notes.append(f"{short} samples stand in stretches shorter than {MIN_SEGMENT_TIME:g} s and were not used")
+        notes.append(f"{short} samples stand in stretches shorter than {least:g} s and were not used")
     return segments

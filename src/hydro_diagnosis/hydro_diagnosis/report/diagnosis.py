@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 
 from hydro_diagnosis.bench_parameters import PartialBench
 from hydro_diagnosis.effects.base import display_unit
-from hydro_diagnosis.recording import LAST_THIRD_NOTE
+from hydro_diagnosis.recording import HELD_THIRD_NOTE
 from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.report_json import Report, row_of
 from hydro_diagnosis.simulator_comparison import sentences
+from hydro_diagnosis.stage_border import StageBorder
 from hydro_sim.model.bench import Bench
 
 if TYPE_CHECKING:
@@ -29,7 +30,11 @@ def interval(ci95: Sequence[float] | None, factor: float = 1.0) -> str:
     """Return a 95 % confidence interval as text; `factor`: unit conversion by `display_unit`."""
     if ci95 is None:
         return "not identifiable from these recordings"
-    return f"95 % {ci95[0] * factor:.5g} to {ci95[1] * factor:.5g}"
+    low, high = ci95[0] * factor, ci95[1] * factor
+    digits = 5  # or as many as tell its ends apart
+    while digits < 15 and low < high and f"{low:.{digits - 1}g}" == f"{high:.{digits - 1}g}":
+        digits += 1
+    return f"95 % {low:.{digits}g} to {high:.{digits}g}"
 
 
 def accounted_sentence(report: Report) -> str:
@@ -56,12 +61,16 @@ class Diagnosis:
     assessment: Assessment
     outcome: SearchOutcome
     holdout: list[SegmentModel] = field(default_factory=list)
+    border: StageBorder = field(default_factory=StageBorder)
+    """Lost stages, with their tracebacks."""
 
     def __str__(self) -> str:
         """Return the result as text, as printed by `diagnose`."""
         report, lines = self.report, [f"verdict: {self.report.verdict}", f"  {self.used}"]
+        lines += [f"  {one.sentence}" for one in report.lost]
         if accounted := accounted_sentence(report):
             lines.append(f"  {accounted}")
+        lines += [f"  {answer}" for answer in report.answers]
         lines += [f"forecast: {one.sentence}" for one in report.forecast or ()]
         for effect in report.effects:
             lines.append(f"  {effect.id}: {effect.sentence}")
@@ -98,9 +107,9 @@ class Diagnosis:
         for models, lengths in ((self.problem.models, fitted), (self.holdout, checked)):
             for segment in (model.segment for model in models):
                 lengths[segment.recording] = lengths.get(segment.recording, 0.0) + len(segment) * segment.step
-        if LAST_THIRD_NOTE in self.report.data_quality:
+        if HELD_THIRD_NOTE in self.report.data_quality:
             (name, first), last = next(iter(fitted.items())), sum(checked.values())
-            return f"fitted on the first two thirds of {name} ({first:.4g} s); checked on its last third ({last:.4g} s)"
+            return f"fitted on two thirds of {name} ({first:.4g} s); checked on the other third ({last:.4g} s)"
         said = (", ".join(f"{name} ({length:.4g} s)" for name, length in one.items()) for one in (fitted, checked))
         return "fitted on {}; checked on {}".format(*said)
 

@@ -77,6 +77,8 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
             for channel, responses in problem.join_responses(shown, len(hats[0])).items():
                 inputs_shown[problem.layout.channel == channel] = responses.T
             columns = np.column_stack([inputs_shown * weight[:, None], named])
+            if not np.isfinite(columns).all():  # a response that runs away is no evidence
+                continue
             lengths = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
             scaled = columns / lengths  # normal equations: many rows by few columns
             amounts = np.linalg.pinv(scaled.T @ scaled, rcond=1e-10, hermitian=True) @ (scaled.T @ -left) / lengths
@@ -245,10 +247,15 @@ def _coherent(problem: Problem, residual: FloatArray) -> bool:
 
 def _place(problem: Problem, residual: FloatArray, equation: str, channel: str, share: float) -> MismatchLocation:
     layout = problem.layout
-    windows, inside = [], []
+    windows: list[tuple[tuple[float, float], ...]] = []
+    inside = []
     for k, model in enumerate(problem.models):
         at = (layout.channel == CHANNELS.index(channel)) & (layout.segment == k)
         time = layout.time[at]
+        if len(time) < 2:  # a stroke that is hardly longer than the filters' reach
+            windows.append(())
+            inside.append(np.zeros(len(model.time), bool))
+            continue
         width = max(int(0.5 * FOLD_TIME / max(float(np.median(np.diff(time))), 1e-3)), 1)
         level = uniform_filter1d(np.square(residual[at]), width, mode="nearest")
         loud = level > max(2.0, 0.5 * float(np.mean(level)))

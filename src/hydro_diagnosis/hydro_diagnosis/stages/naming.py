@@ -27,7 +27,7 @@ from hydro_diagnosis.experiment_design import next_for_law, next_recording
 from hydro_diagnosis.judge import Assessment, ExplainedShares, accounted_shares, assess, retain_claims
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.validation import SimulationCache, equation_errors, holdout_errors
+from hydro_diagnosis.validation import HORIZON_TIME, SimulationCache, equation_errors, holdout_errors
 
 if TYPE_CHECKING:
     from hydro_diagnosis.estimation.problem import Problem
@@ -84,12 +84,25 @@ def name_causes(prepared: PreparedDiagnosis, search: Search) -> StageResult:
     simulations: SimulationCache = {}
     holdout_report = holdout_errors(problem, holdout, kept.claims, simulations)
     accounted = accounted_shares(holdout_report["equations"], holdout_report["equations"])
-    assessment = assess(problem, outcome.fit, kept, outcome.baseline_fit, holdout, accounted)
+    assessment = assess(problem, outcome.fit, kept, outcome.baseline_fit, holdout, accounted, holdout_report)
     known = can_simulate(problem.bench)  # needed to simulate a proposed recording
     return StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout,
         simulations=simulations, holdout_report=holdout_report, accounted=accounted, curve=curve,
         next_recording=next_recording(problem, outcome, assessment) if known else None,
+    )  # fmt: skip
+
+
+def name_nothing(prepared: PreparedDiagnosis, search: Search) -> StageResult:
+    """Return the result without a name and without what is checked on held-out recordings: of a lost stage."""
+    outcome = search.baseline_outcome()
+    return StageResult(
+        problem=outcome.problem, outcome=outcome, bounds=[], simulations={}, accounted={},
+        assessment=Assessment("unknown", outcome.fit, (), (), (), ()),
+        holdout=outcome.problem.for_segments(prepared.held_out),
+        holdout_report={
+            "holdout": {}, "horizon_s": HORIZON_TIME, "free_run": {}, "why": "a stage before failed", "equations": {}
+        },
     )  # fmt: skip
 
 
@@ -136,7 +149,7 @@ def _by_curve(
         MOTION: dict(read.accounted)
     }
     bounds = [*intervals(problem, others_fit), *read.bounds]
-    assessment = assess(problem, kept, kept, outcome.baseline_fit, holdout, accounted)
+    assessment = assess(problem, kept, kept, outcome.baseline_fit, holdout, accounted, holdout_report)
     return StageResult(
         problem=problem, outcome=outcome, assessment=assessment, bounds=bounds, holdout=holdout, simulations={},
         holdout_report=holdout_report, accounted=accounted, curve=curve, by_curve=read, closures=list(read.closures),
@@ -162,7 +175,7 @@ def _with_laws(names: StageResult, library: Sequence[Effect]) -> StageResult | N
     result = replace(
         names, problem=problem, holdout=holdout, bounds=bounds,
         closures=closure_reports(joint_fit, bounds, share), accounted=accounted,
-        assessment=assess(problem, names.outcome.fit, joint_fit, baseline_fit, holdout, accounted),
+        assessment=assess(problem, names.outcome.fit, joint_fit, baseline_fit, holdout, accounted, errors),
         holdout_report={**errors, "equations": everything},
     )  # fmt: skip
     ahead = names.next_recording if result.names == names.names else None  # else it would separate a dropped claim

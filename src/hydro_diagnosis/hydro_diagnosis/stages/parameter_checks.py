@@ -10,7 +10,6 @@ import numpy as np
 
 from hydro_diagnosis.effects.base import Effect, EffectHypothesis, FloatArray, display_unit
 from hydro_diagnosis.estimation.fit import Fit, cause_key, eligible_effects, orthogonal
-from hydro_diagnosis.recording import MEASURED_CHANNELS
 from hydro_diagnosis.report_json import BenchParameterEstimate
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE, UNIDENTIFIED_HALF_WIDTH
 from hydro_sim.model.bench import Bench
@@ -134,9 +133,8 @@ def undetectable_note(problem: Problem, found: Fit, library: Sequence[Effect], t
     weight = problem.weight(found.residual)
     change = problem.half_rows_change(found.claims) * weight
     limits: dict[str, tuple[float, str]] = {}
-    absent = set(MEASURED_CHANNELS).difference(*(model.channels for model in problem.models))
     for effect in eligible_effects(library, found.claims, problem.blocks):
-        if not effect.named or effect.needs or absent & set(effect.options.values()):
+        if not effect.named or effect.needs:
             continue
         name = _plain(effect)
         price = threshold + len(effect.parameters) * float(np.log(len(weight)))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from difflib import get_close_matches
 from importlib import metadata
 from pathlib import Path
@@ -23,12 +23,14 @@ from hydro_bridge.bags.location import is_bag
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_parameters import (
+    PartialBench,
     applies,
     is_missing,
     mark_unknown,
     omission_notes,
     parse_bench,
     read_bench,
+    recorded_size,
     require_parameters,
 )
 from hydro_diagnosis.effects import CANDIDATES
@@ -37,6 +39,7 @@ from hydro_diagnosis.estimation.budget import Budget
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.estimation.unknown_parameters import estimated_claims, require_estimable, starting_bench
 from hydro_diagnosis.io.column_map import ColumnMap
+from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.loading import RecordingReader, load_dataset
 from hydro_diagnosis.recording import InputError, Segment, ambiguous_paths
 from hydro_diagnosis.report.corrected_bench import claims_of
@@ -124,8 +127,16 @@ class DiagnosisInput:
             self.recordings, self.holdout, mark_unknown(given, estimate), ColumnMap.load(self.columns),
             inspection, self.reader,
         )  # fmt: skip
+        fitted, held_out = (
+            [one for one in some if one.measured is None or len(SegmentModel(one, given).evaluated_time())]
+            for some in (fitted, held_out)
+        )
+        if not fitted or not held_out:
+            raise InputError("too many rows are missing: no stretch without a gap is long enough to be evaluated")
         channels = set.intersection(*(set(segment.channels) for segment in fitted))
         require_parameters(channels, given, estimate)
+        if isinstance(given, PartialBench):
+            given = replace(given, recorded=recorded_size(given, fitted))
         starting, baseline_claims = given, claims_of(given)
         if estimate:
             progress("estimating " + ", ".join(estimate))
@@ -143,6 +154,7 @@ class DiagnosisInput:
                 "the recordings and the bench file give residuals that are not finite: check units and numbers"
             )
         candidates = [effect.adapted(starting) for effect in candidates if applies(effect, starting)]
+        candidates = [one for one in candidates if one.sensor_channel in ("", *channels)]
         if machine := _machine_scales(problem):
             candidates = [scale_bounds(effect, machine) for effect in candidates]
         limits = [f"--without {' '.join(self.without)}: these causes were not tried"] if self.without else []

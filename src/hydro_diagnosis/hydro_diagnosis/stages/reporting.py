@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -14,14 +14,16 @@ import scipy.signal
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.curve_claims import OPERATOR_EFFECTS
 from hydro_diagnosis.curve_reports import curve_reports
-from hydro_diagnosis.effects.base import CHANNELS, HYDRAULIC, Effect, EffectHypothesis, FloatArray
+from hydro_diagnosis.effects.base import BLOCKS, CHANNELS, HYDRAULIC, PRESSURE, Effect, EffectHypothesis, FloatArray
 from hydro_diagnosis.effects.closure import is_closure
 from hydro_diagnosis.estimation.budget import SEARCH_SHARE
 from hydro_diagnosis.estimation.fit import Fit, by_claim, cause_key, fit, holdout_gain
 from hydro_diagnosis.forecast import forecasts
 from hydro_diagnosis.report.diagnosis import Diagnosis
-from hydro_diagnosis.report_json import EffectReport, Location, LookAlike, Report, Rival
+from hydro_diagnosis.report_json import EffectReport, Location, LookAlike, Regime, Report, Rival, Validity
+from hydro_diagnosis.selection.regimes import where, wrong_regimes
 from hydro_diagnosis.significance import VERY_STRONG_EVIDENCE
+from hydro_diagnosis.stage_border import StageBorder
 from hydro_diagnosis.stages.parameter_checks import bench_parameter_estimates, confirmation_note, undetectable_note
 
 if TYPE_CHECKING:
@@ -119,9 +121,48 @@ def effect_reports(findings: StageResult) -> list[EffectReport]:
         reports.append(EffectReport(
             id=effect.id, equation=effect.equations[0], options=dict(effect.options),
             sentence=effect.sentence(claim.values), parameters=estimates, evidence=evidence, rivals=rivals,
-            look_alikes=look_alikes,
+            look_alikes=look_alikes, holds=validity(findings, effect),
         ))  # fmt: skip
     return sorted(reports, key=lambda report: -report.evidence["delta_bic"])
+
+
+_OVER = {"motion": "velocity", "load": "position", "actuation": "current", "pressure_a": "pressure",
+         "pressure_b": "pressure"}  # fmt: skip
+"""Variable over which an effect's claim holds, by its equation."""
+_OVER_POSITION = ("force_offset", "end_cushion", "spring")
+_UNITS = {"velocity": "m/s", "position": "m", "current": "A", "pressure": "Pa"}
+
+
+def validity(findings: StageResult, effect: Effect) -> Validity | None:
+    """Return the range of the fitted recordings over which an effect was seen; None for errors of sensors."""
+    over = "position" if effect.id.startswith(_OVER_POSITION) else _OVER.get(effect.equations[0], "")
+    if over == "velocity" and findings.curve is not None and findings.curve.points:
+        seen = np.abs([point.velocity for point in findings.curve.points])
+    else:
+        names = {"velocity": "", "position": "piston_position", "current": "valve_current", "pressure": "pressure"}
+        parts = [np.abs(model.v) for model in findings.problem.models if over == "velocity"]
+        parts += [
+            values
+            for model in findings.problem.models
+            for name, values in model.channels.items()
+            if names.get(over) and name.startswith(names[over])
+        ]
+        seen = np.percentile(np.concatenate(parts), [1.0, 99.0]) if parts else np.array([])
+    return Validity(over=over, unit=_UNITS[over], low=float(seen.min()), high=float(seen.max())) if len(seen) else None
+
+
+def extrapolation_note(findings: StageResult) -> str:
+    """Return a note on held-out speeds that were not fitted; empty if there are none beyond a fifth of the range."""
+    fitted, held = (
+        [float(np.percentile(np.abs(model.v), 99.0)) for model in models if model.has_position]
+        for models in (findings.problem.models, findings.holdout.models)
+    )
+    if not fitted or not held or max(held) <= 1.2 * max(fitted):
+        return ""
+    return (
+        f"what was held out moves at up to {1e3 * max(held):.3g} mm/s, what was fitted at up to "
+        f"{1e3 * max(fitted):.3g}: beyond that the claims are extrapolated"
+    )
 
 
 def _rivals(outcome: SearchOutcome, found: Fit, claim: EffectHypothesis) -> tuple[list[Rival], list[LookAlike]]:
@@ -151,16 +192,22 @@ def _rivals(outcome: SearchOutcome, found: Fit, claim: EffectHypothesis) -> tupl
     return rivals[:3], look_alikes
 
 
-def location_of(place: MismatchLocation, problem: Problem) -> Location:
-    """Report entry of a location of the mismatch, with its windows by recording."""
+def location_of(place: MismatchLocation, problem: Problem, regimes: Mapping[str, list[Regime]]) -> Location:
+    """Report entry of a location of the mismatch, with its windows by recording; `regimes`: by channel."""
     windows: dict[str, list[list[float]]] = {}
     for model, stretches in zip(problem.models, place.windows, strict=True):
         windows.setdefault(model.segment.recording, []).extend([list(stretch) for stretch in stretches])
     region = {name: list(bounds) for name, bounds in place.region.items()}
-    return Location(equation=place.equation, share=place.share, windows=windows, region=region, sentence=place.sentence)
+    wrong = regimes.get(place.channel, [])
+    return Location(
+        equation=place.equation, share=place.share, windows=windows, region=region, regimes=wrong,
+        sentence=place.sentence, where=where(wrong, "Pa" if place.channel in BLOCKS[PRESSURE] else "N"),
+    )  # fmt: skip
 
 
-def build_report(prepared: PreparedDiagnosis, search: Search, found: StageResult, begun: float) -> Diagnosis:
+def build_report(
+    prepared: PreparedDiagnosis, search: Search, found: StageResult, begun: float, border: StageBorder
+) -> Diagnosis:
     """Build the report, with its underlying data; `begun`: monotonic time [s] at which the diagnosis began."""
     problem, assessment = found.problem, found.assessment
     searched = found.by_curve is None
@@ -169,15 +216,19 @@ def build_report(prepared: PreparedDiagnosis, search: Search, found: StageResult
     notes = (*([prepared.wiring] if prepared.wiring else []), *_notes(found, effects, hidden, search.library))
     search.progress(stage_bar.FORECASTING)
     given = (*prepared.inputs.recordings, *prepared.inputs.holdout)
-    forecast, reason = forecasts(problem, assessment.fit.claims, prepared.held_out, given)
+    claims = assessment.fit.claims
+    forecast, reason = border.run(
+        "forecast", lambda: forecasts(problem, claims, prepared.held_out, given), lambda: (None, "it failed")
+    )
     lacking = [f"forecast: {reason}"] if reason else []
+    wrong = wrong_regimes(problem, found.outcome.baseline_fit.residual)
     report = Report(
         verdict=assessment.verdict,
-        location=[location_of(place, problem) for place in assessment.locations],
+        location=[location_of(place, problem, wrong) for place in assessment.locations],
         effects=effects,
         remainder=_remainder(found),
         closures=found.closures,
-        curves=curve_reports(problem, assessment.fit.claims, found.curve, found.by_curve),
+        curves=border.run("curves", lambda: curve_reports(problem, claims, found.curve, found.by_curve), list),
         accounted=found.accounted,
         estimated=bench_parameter_estimates(
             problem, assessment.fit, found.bounds, search.library, prepared.estimated_parameters
@@ -187,11 +238,12 @@ def build_report(prepared: PreparedDiagnosis, search: Search, found: StageResult
         next_recording=found.next_recording,
         seconds=time.monotonic() - begun,
         steps=[{"action": step.action, "label": step.label, "delta_bic": -step.score} for step in search.steps],
+        lost=border.lost,
         **prepared.report_fields
         | {"data_quality": [*prepared.report_fields["data_quality"], *notes]}
         | {"not_checked": [*prepared.report_fields["not_checked"], *lacking]},
     )
-    return Diagnosis(report, prepared.problem.bench, problem, assessment, found.outcome, found.holdout.models)
+    return Diagnosis(report, prepared.problem.bench, problem, assessment, found.outcome, found.holdout.models, border)
 
 
 def _notes(
@@ -213,7 +265,7 @@ def _notes(
     )
     lacking = found.by_curve.why if found.by_curve is not None else ""
     lacking = f"no friction is named: {lacking}" if lacking else ""
-    return tuple(note for note in (early, hidden, stop_reason, lacking, sure) if note)
+    return tuple(note for note in (early, hidden, stop_reason, lacking, sure, extrapolation_note(found)) if note)
 
 
 def _remainder(found: StageResult) -> dict[str, Any] | None:
@@ -225,8 +277,9 @@ def _remainder(found: StageResult) -> dict[str, Any] | None:
     line = common_spectral_line(left, assessment.remainder[0].channel)
     like = [claim.effect.sentence(claim.values) for claim in assessment.dropped if not claim.effect.named]
     telling = [form for form in assessment.forms if form.gain > 0.0 and form.equation == equation]
+    wrong = wrong_regimes(problem, assessment.fit.residual)
     return {
-        "location": [vars(location_of(place, problem)) for place in assessment.remainder],
+        "location": [vars(location_of(place, problem, wrong)) for place in assessment.remainder],
         "depends_on": list(dict.fromkeys(form.variable for form in telling[:3])),
         "dropped": [claim.effect.id for claim in assessment.dropped if claim.effect.named],
         "looks_like": [*like, line.sentence] if line else like,
