@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import inspect
 import re
 import shutil
 from collections import deque
@@ -16,11 +15,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydro_bridge.conformance import rules
-from hydro_bridge.conformance.command import FAIL, INCONCLUSIVE, LEFT_OUT, PASS, Run, name_of
-from hydro_bridge.conformance.host import SilenceError
-from hydro_bridge.conformance.rules import AtRest, Moving
-from hydro_bridge.serial.protocol import encode_clock
+from hydro_bridge.conformance.command import FAIL, INCONCLUSIVE, LEFT_OUT, PASS, Run
+from hydro_bridge.conformance.host import Host, SilenceError
 from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.firmware import Precision
@@ -33,13 +29,6 @@ from tests.checks import compiled
 
 NOMINAL = Bench.nominal()
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
-
-
-@cache
-def cases() -> list[pytest.Function]:
-    run = Run(None)  # type: ignore[arg-type]
-    run.start("--collect-only")
-    return run.items
 
 
 class InStep:
@@ -115,12 +104,11 @@ def test_the_box_passes_every_case(name: str) -> None:
     line = InStep(machine_of(**{key: value for key, value in words.items() if key != "delay"}), words.get("delay", 0))
     found = judged(line, bench=words.get("bench", NOMINAL))
     assert {case: result for case, result in found.items() if result[0] != PASS} == {}
-    assert len(found) >= 40
+    assert len(found) >= 34
 
 
-@pytest.mark.parametrize("overlap", [pytest.param(1e-4, marks=pytest.mark.study), 2.5e-4])
-def test_a_right_box_with_an_overlap_of_its_valve_fails_nowhere(overlap: float) -> None:
-    found = judged(InStep(machine_of(effects=Effects(valve_deadband=ValveDeadband(half_width=overlap)))))
+def test_a_right_box_with_an_overlap_of_its_valve_fails_nowhere() -> None:
+    found = judged(InStep(machine_of(effects=Effects(valve_deadband=ValveDeadband(half_width=2.5e-4)))))
     assert {case for case, (outcome, _) in found.items() if outcome != PASS} <= {"law.sign"}
     assert found["law.sign"][0] in (PASS, INCONCLUSIVE)
 
@@ -137,35 +125,40 @@ def test_what_a_box_does_not_tell_is_left_out_or_noted() -> None:
         machine.box.settings[name] = 0
     assert judged(InStep(machine), "measured.rates", "hello.bench") == {
         "measured.rates": (LEFT_OUT, "DETAILS do not tell the ages of the rates"),
-        "hello.bench": (PASS, "its digest is not told: only valve_current_max is compared"),
+        "hello.bench": (LEFT_OUT, "its digest is not told: valve_current_max alone agrees"),
     }
 
 
 def test_without_moving_nothing_arms_and_the_piston_rests() -> None:
     machine = machine_of()
     before = float(machine.plant.chain[0]["clean"][6])
-    outcomes = {case: outcome for case, (outcome, _) in judged(InStep(machine), moving=False).items()}
-    assert outcomes == {name_of(item): LEFT_OUT if item.cls is Moving else PASS for item in cases()}
+    found = judged(InStep(machine), moving=False)
+    left_out = {case for case, (outcome, _) in found.items() if outcome == LEFT_OUT}
+    assert all(outcome in (PASS, LEFT_OUT) for outcome, _ in found.values())
+    assert left_out == {case for case, (_, why) in found.items() if "--moving" in why} and "law.sign" in left_out
     assert abs(float(machine.plant.chain[0]["clean"][6]) - before) < 1e-5
 
 
-def test_no_case_at_rest_asks_a_box_to_arm() -> None:
-    assert "arm=True" in inspect.getsource(Moving) and '"arm"' not in inspect.getsource(rules)
-    assert "arm=" not in inspect.getsource(AtRest)
+def test_only_with_moving_a_box_is_asked_to_arm() -> None:
+    line = InStep(machine_of())
+    host = Host(line, line.clock)
+    with pytest.raises(pytest.skip.Exception, match="may move the piston: --moving"):
+        host.send(arm=True)
+    assert not host.commands and not line._sent
 
 
 BROKEN: dict[str, tuple[str, str, str, str]] = {
     "takes old commands": ("guard.h", "order.old", " || ahead >= 0x80000000u", ""),
-    "takes repeated commands": ("guard.h", "order.repeated", "ahead == 0 || ", ""),
-    "watchdog after 60 ms": ("arming.h", "watchdog.hold watchdog.trip order.repeated order.old",
+    "takes repeated commands": ("guard.h", "order.old", "ahead == 0 || ", ""),
+    "watchdog after 60 ms": ("arming.h", "watchdog.hold watchdog.trip order.old hello.safe",
         "age > config->hold_timeout", "age > config->hold_timeout + 0.01"),
     "trips after 150 ms": ("arming.h", "watchdog.trip",
         "age > config->trip_timeout", "age > config->trip_timeout - 0.05"),
     "arms without a disarm": ("arming.h", "arm.needs_a_disarm",
         "arming->disarm_seen;\n    arming->tripped = !arming->disarm_seen", "true"),
-    "does not clamp K_p": ("guard.h", "clamp.high clamp.low refused.counted",
+    "does not clamp K_p": ("guard.h", "clamp.gains refused.counted",
         "law->delta_kp_min, law->delta_kp_max", "HYDRO_R(-1e9), HYDRO_R(1e9)"),
-    "keeps the gain where none is given": ("guard.h", "clamp.not_finite compensated.shaping",
+    "keeps the gain where none is given": ("guard.h", "clamp.gains compensated.shaping",
         "broken ? safe", "broken ? guard->delta_kp"),
     "forgets the reference's phase": ("reference.h", "reference.sine", "turned(angle + signal->phase", "turned(angle"),
     "a weight of the multisine is another": ("reference.h", "reference.multisine compensated.shaping",
@@ -173,32 +166,33 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
     "edges of a quarter of a period": ("reference.h", "reference.smooth_step reference.fade",
         "HYDRO_EDGE 0.125", "HYDRO_EDGE 0.25"),
     "changes break a fade off": ("reference.h", "reference.fade", "time - reference->fade_start >= HYDRO_FADE && ", ""),
-    "a HELLO does not disarm": ("box.h", "arm.off hello.safe hello.safe", "= box->has_now = true", "= true"),
+    "a HELLO does not disarm": ("box.h", "arm.off hello.safe", "= box->has_now = true", "= true"),
     "the paper's integral, called bumpless": ("force_law.h", "law.gains", "HYDRO_BUMPLESS 2u", "HYDRO_BUMPLESS 77u"),
-    "the correction is lost": ("box.h", "law.current", " + box->guard.delta_u", ""),
+    "the correction is lost": ("box.h", "law.current watchdog.trip", " + box->guard.delta_u", ""),
     "late commands keep their gains": ("box.h", "watchdog.hold watchdog.trip compensated.safe",
         "held ? law->base_kp : ", ""),
     "accepts frames without their check sum": ("stream.h", "framing.damaged",
         "!= hydro_read32(data + count - 4)", "!= hydro_crc(data, count - 4)"),
     "HELLO without a sequence": ("box.h", "hello.answered", "if (box->hellos == 0) {", "if ((box->hellos = 0) == 1) {"),
-    "counts samples by two": ("box.h", "framing.stream framing.garbage line.loss line.load",
+    "counts samples by two": ("box.h", "framing.stream framing.garbage",
         "box->sequence++", "box->sequence++ * 2"),
-    "forgets FILTER_STALE": ("arming.h", "idle.gains arm.arms hello.safe", "late || !arming->filter_fresh", "late"),
+    "forgets FILTER_STALE": ("arming.h", "idle.gains arm.arms hello.safe watchdog.hold watchdog.trip",
+        "late || !arming->filter_fresh", "late"),
     "takes frames of versions to come": ("stream.h", "framing.damaged",
         "0u : HYDRO_VERSION", "0u : data[0] > HYDRO_VERSION ? data[0] : HYDRO_VERSION"),
-    "does not tell the form of its integral": ("protocol.h", "hello.fields", "(uint8_t)config->integral_form", "0"),
+    "does not tell the form of its integral": ("protocol.h", "hello.answered", "(uint8_t)config->integral_form", "0"),
     "tells another bench": ("protocol.h", "hello.bench", "config->digest, sizeof config->digest", '"000000000000", 12'),
-    "a HELLO is not the begin of a conversation": ("box.h", "hello.new_conversation", "box->guard.heard = false;", ""),
+    "a HELLO is not the begin of a conversation": ("box.h", "hello.safe", "box->guard.heard = false;", ""),
     "a HELLO disarms and is no heartbeat": ("box.h", "hello.safe",
         "command->filter_fresh, time);", "command->filter_fresh, box->greeted ? box->arming.received_at : time);"),
     "sends no DETAILS": ("box.h", "hello.answered", "count += hydro_encode_details", "(void)hydro_encode_details"),
     "its clock shakes while it is disarmed": ("protocol.h", "clock.pace",
         "1e6 + 0.5", "1e6 + 0.5 + (~sample->flags & sample->sequence & 1u) * 300.0"),
-    "shows the correction while it is disarmed": ("box.h", "idle.values watchdog.trip",
+    "shows the correction while it is disarmed": ("box.h", "idle.values",
         "if (!box->arming.armed) {", "if (!box->arming.armed) {\n        values[HYDRO_NOMINAL] = box->guard.delta_u;"),
     "whole integral gains only": ("box.h", "idle.gains", "box->guard.delta_ki", "(hydro_real)(int)box->guard.delta_ki"),
     "newer is a quarter of the circle": ("guard.h", "order.wraps", "0x80000000u", "0x40000000u"),
-    "looks at the watchdog before it takes the command": ("box.h", "watchdog.hold hello.safe",
+    "looks at the watchdog before it takes the command": ("box.h", "watchdog.hold watchdog.trip hello.safe order.old",
         "    hydro_box_receive(box, time);\n    late = hydro_watchdog(&box->arming, config, time);",
         "    late = hydro_watchdog(&box->arming, config, time);\n    hydro_box_receive(box, time);"),
     "refuses the range itself": ("guard.h", "refused.counted", "+ offset > force_range", "+ offset >= force_range"),
@@ -208,7 +202,7 @@ BROKEN: dict[str, tuple[str, str, str, str]] = {
         "config->force_rate_age", "2 * config->force_rate_age"),
     "FILTER_STALE as long as it is armed": ("arming.h", "arm.arms",
         "late || !arming->filter_fresh", "late || arming->armed || !arming->filter_fresh"),
-    "disarms a sample late": ("box.h", "arm.off",
+    "disarms a sample late": ("box.h", "arm.off watchdog.trip",
         "!box->arming.armed", "!box->arming.armed && (box->sample.flags & HYDRO_ARMED) == 0"),
     "a refused reference becomes a hold": ("guard.h", "reference.refused",
         "guard->refused[1]++;", "guard->refused[1]++;\n        wanted->waveform = HYDRO_HOLD;"),
@@ -267,7 +261,7 @@ def test_a_broken_box_fails_where_it_is_broken(broken: Callable[[str], Machine],
 
 def test_each_case_fails_on_a_box_that_is_broken_there() -> None:
     seen = {"law.sign"}.union(*(wanted.split() for _, wanted, *_ in BROKEN.values()))
-    assert seen == {name_of(item) for item in cases()}
+    assert seen == judged(InStep(machine_of()), moving=False).keys()
 
 
 class Unconnected(Machine):
@@ -297,20 +291,10 @@ def test_a_valve_the_wrong_way_round_fails_the_sign() -> None:
     assert judged(InStep(machine), "law.sign")["law.sign"][0] == FAIL
 
 
-class Emulator(InStep):
-    """A box that says CLOCK before its first samples."""
-
-    told = encode_clock(0, waits=True)
-
-    def read(self, timeout: float) -> bytes:
-        told, self.told = self.told, b""
-        return told + super().read(timeout)
-
-
 @pytest.mark.parametrize(("pseudo_terminal", "outcome"), [(True, PASS), (False, FAIL)])
-def test_a_slow_clock_is_a_fault_but_of_an_emulator_on_a_pseudo_terminal(pseudo_terminal: bool, outcome: str) -> None:
-    """On a busy machine an emulator is as slow as the machine; a device that says it is one is not believed."""
-    line = Emulator(machine_of())
+def test_a_slow_clock_is_a_fault_but_on_a_pseudo_terminal(pseudo_terminal: bool, outcome: str) -> None:
+    """On a busy machine an emulator is as slow as the machine."""
+    line = InStep(machine_of())
     line.pseudo_terminal = pseudo_terminal
     (row,) = Run(line, lambda: 1.06 * line.clock(), only=["clock.pace"]).start()
     assert row["result"] == outcome

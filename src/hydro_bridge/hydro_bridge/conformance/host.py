@@ -1,116 +1,182 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Host side of the line in a conformance test: `Host` sends what a rule says, a `Step` is what came back.
+"""Host side of the line in a conformance test, and an independent implementation of what protocol.md asks of a box.
 
-Checks raise AssertionError with a sentence.
+It shares no code with any box.
 """
 
 from __future__ import annotations
 
 import time
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
-from itertools import count
+from dataclasses import replace
+from functools import cache
+from itertools import pairwise, product
+from math import comb
 from typing import Any
 
 import numpy as np
+import pytest
 from cobs import cobs
+from numpy.polynomial import Polynomial
 
-from hydro_bridge.conformance.reference import columns, expect, force_gain
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port
-from hydro_bridge.serial.protocol import State
+from hydro_bridge.serial.protocol import GAIN_FIELDS, PAPER_LAW, BoxInfo, BoxLaw, State
 from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
-from hydro_core.signals import Command, Flag, flag_names
+from hydro_core.signals import (
+    FADE_TIME,
+    SAMPLE_PERIOD,
+    STATE_FIELDS,
+    Command,
+    Flag,
+    FloatArray,
+    Law,
+    ReferenceSignal,
+    Waveform,
+)
 
-REPLY_SAMPLES = 300
-"""Samples within which a HELLO must be answered, and a command confirmed."""
+FLAGS = ("ARMED", "TRIPPED", "WATCHDOG", "FILTER_STALE")
+GAINS, REFERENCE = ("proportional_gain", "integral_gain"), ("reference_force", "reference_force_rate")
+SHAPING = ("a_0", "a_1", "a_2", "a_3", "C_1", "C_2")
+COUNTS = ("refused", "refused_references")
+ENDS = [(*ends, *[FADE_TIME] * 99) for ends in product((FADE_TIME - 1e-6, FADE_TIME + 1e-6), repeat=3)]
+"""Ends of the fades from arming on [s]: each is the 300th or the 301st sample of its fade."""
+_RATIOS = np.sqrt([1.0, 3.0, 7.0, 13.0])
+_WEIGHTS = 1.0 / _RATIOS / sum(1.0 / _RATIOS)
+_FADE = Polynomial([0.0, 0.0, 3.0, -2.0])
 
 
-class SilenceError(UserError):
+SILENCE = 3.0
+"""Time [s] without a sample after which a box counts as silent: a busy host may stand still for a second."""
+
+
+class SilenceError(UserError, AssertionError):
     """The box sends no STATE."""
 
 
-@dataclass(frozen=True)
-class Step:
-    """States received in a step of a session: the last one before it and all since, and those since its command."""
+def columns(states: Sequence[State]) -> dict[str, FloatArray]:
+    """Return the fields of states by name: with those of the force law, flags, and counts since the first state."""
+    rows = [(*each.values, *each.law_state[1:3], *each.law_state[3], *each.law_state[4:]) for each in states]
+    found = dict(zip((*STATE_FIELDS, "f_c", "f_c'", *SHAPING), np.array(rows).T, strict=True))
+    found |= {flag.name: np.array([float(bool(each.flags & flag)) for each in states]) for flag in Flag}
+    first = states[0]
+    return found | {name: np.array([float(getattr(each, name) - getattr(first, name)) for each in states])
+                    for name in COUNTS}  # fmt: skip
 
-    host: Host
-    states: Sequence[State]
-    confirmed: Sequence[State]
 
-    def has(self, flags: int = 0, lacks: int = 0) -> Step:
-        """Check the flags of all confirmed states."""
-        for state in self.confirmed:
-            right = state.flags & (flags | lacks) == flags
-            assert right, f"STATE {state.sequence} has {flag_names(state.flags)}"
-        return self
+def expect(states: Sequence[State], name: str, found: FloatArray, right: Any, tolerance: Any) -> None:
+    """Check that a field of states is `right` to within `tolerance`."""
+    right = np.broadcast_to(right, found.shape)
+    for n in np.flatnonzero(~(np.abs(found - right) <= tolerance))[:1]:  # NaN is wrong, too
+        raise AssertionError(f"{name} is {found[n]:g} in STATE {states[n].sequence}, {right[n]:g} is right")
 
-    def gains(self, delta_kp: float, delta_ki: float) -> Step:
-        """Check that all confirmed states have the paper's base gains and these changes."""
-        expect(self.confirmed, "proportional_gain", self.host.info.base_kp + delta_kp, 1e-3)
-        expect(self.confirmed, "integral_gain", self.host.info.base_ki + delta_ki, 1e-3)
-        return self
 
-    def has_refused(self, values: int, references: int) -> None:
-        """Check how many values and references the box counted as refused in this step."""
-        last, first = self.states[-1], self.states[0]
-        found = last.refused - first.refused, last.refused_references - first.refused_references
-        assert found == (values, references), f"it counted {found[0]} values and {found[1]} references"
+def evaluate_signal(signal: ReferenceSignal, time: FloatArray) -> FloatArray:
+    """Return value [N] and three time derivatives of a signal, shape (4, n), `time` [s] after the box accepted it."""
+    omega, order = 2.0 * np.pi * signal.frequency, np.arange(4.0)[:, np.newaxis]
 
-    def rests(self) -> None:
-        """Check that the confirmed states are those of a disarmed box."""
-        for name in ("valve_current", "nominal_valve_current", "reference_force_rate"):
-            expect(self.confirmed, name, 0.0, 0.0)
-        expect(self.confirmed, "reference_force", columns(self.confirmed)[self.host.feedback], 0.0)
-        self.has(lacks=Flag.ARMED)
+    def sine(angle: FloatArray, rate: float) -> FloatArray:
+        return np.asarray(rate**order * np.sin(angle + order * np.pi / 2.0))
 
-    def is_late(self) -> None:
-        """Check that WATCHDOG comes 50 ms behind the last command, with base gains, no correction, FILTER_STALE."""
-        self.flag_comes(Flag.WATCHDOG, 50)
-        late = [state for state in self.states[1:] if state.flags & Flag.WATCHDOG]
-        Step(self.host, late, late).has(Flag.FILTER_STALE).gains(0.0, 0.0)
-        whole = [state for state in late if not state.flags & Flag.SATURATED]
-        assert all(state.values[8] == state.values[9] for state in whole), "the correction is still added"
+    angle = omega * time + signal.phase
+    shape: FloatArray = np.zeros((4, len(time)))
+    if signal.waveform is Waveform.SINE:
+        shape = sine(angle, omega)
+    elif signal.waveform is Waveform.MULTISINE:
+        for n, (ratio, weight) in enumerate(zip(_RATIOS, _WEIGHTS, strict=True), 1):
+            shape += weight * sine(ratio * omega * time + n * signal.phase, ratio * omega)
+    elif signal.waveform is Waveform.SMOOTH_STEP:  # each half turn begins with an edge of an eighth of a turn
+        turn = angle / (2.0 * np.pi) % 1.0
+        edge = np.where(turn % 0.5 < 0.125, sine(8.0 * np.pi * (turn % 0.5) - np.pi / 2.0, 4.0 * omega), order == 0.0)
+        shape = np.where(turn < 0.5, edge, -edge)
+    return signal.offset * (order == 0.0) + signal.amplitude * shape
 
-    def flag_comes(self, flag: Flag, samples: int) -> None:
-        """Check that a flag comes `samples` after the last command that the box took, or one more (rounding)."""
-        states = self.host.states
-        since = next(n for n, state in enumerate(states) if state.last_command == states[-1].last_command)
-        found = next((n for n, state in enumerate(states[since:]) if state.flags & flag), -1)
-        assert samples <= found <= samples + 1, f"{flag.name} came {found} samples behind the last command (-1: never)"
 
-    def is_whole(self) -> None:
-        """Check that no sample is missing or repeated, and that every frame of the session is complete."""
-        expect(self.states[1:], "the step of its number", 1, 0, np.diff([state.sequence for state in self.states]))
-        counts = self.host.decoder.counts
-        assert not counts.malformed, f"{counts.crc_errors} check sums, {counts.malformed} frames are wrong"
+def playable(signal: ReferenceSignal, force_range: float) -> bool:
+    """Return whether a box plays a reference."""
+    if not np.isfinite([signal.frequency, signal.phase, signal.amplitude, signal.offset]).all():
+        return False
+    timed = signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
+    return timed and signal.amplitude >= 0.0 and signal.amplitude + abs(signal.offset) <= force_range
+
+
+def expected_reference(
+    time: FloatArray, asked: Sequence[ReferenceSignal], start: float, fades: Sequence[float]
+) -> FloatArray:
+    """Return f_r and its derivatives, shape (4, n), from arming on at the force `start` [N].
+
+    `time` [s], shape (n,). `asked`: the playable signal in force in each sample. The cross-fades end after `fades` [s].
+    """
+    found, signals = np.empty((4, len(time))), [(0, ReferenceSignal(offset=start))]
+    for n, wanted in enumerate(asked):
+        if n == 0 or (wanted != signals[-1][1] and time[n] - time[signals[-1][0]] >= fades[len(signals) - 2]):
+            signals.append((n, wanted))
+    for fade, ((before, old), (begin, new)) in zip(
+        fades, pairwise(signals), strict=False
+    ):  # each overwrites what follows its begin
+        now = time[begin:] - time[begin]
+        share = [_FADE.deriv(n)(now / FADE_TIME) / FADE_TIME**n for n in range(4)]
+        last, next_ = evaluate_signal(old, time[begin:] - time[before]), evaluate_signal(new, now)
+        for n in range(4):
+            mixed = last[n] + sum(comb(n, j) * share[j] * (next_ - last)[n - j] for j in range(n + 1))
+            found[n, begin:] = np.where(now < fade, mixed, next_[n])
+    return found
+
+
+@cache
+def within_limits(law: BoxLaw, command: Command) -> tuple[FloatArray, FloatArray, int]:
+    """Return gains and `SHAPING` of a command within limits, those of the safe state, and how many were beyond."""
+    low, safe, high, _ = ([0.0, 0.0, *numbers] for numbers in law.shaping_limits)
+    low[:2], high[:2] = (law.delta_kp_min, law.delta_ki_min), (law.delta_kp_max, law.delta_ki_max)
+    asked, base = np.array([command.delta_kp, command.delta_ki, *command.shaping]), np.zeros(8)
+    base[:2] = law.base_kp, law.base_ki
+    taken = np.clip(np.where(np.isfinite(asked), asked, safe), low, high)
+    return base + taken, base + safe, int(np.sum(asked != taken))
+
+
+def gain_and_stiffness(
+    bench: Mapping[str, Any], position: Any, pressure_a: Any, pressure_b: Any, current: Any
+) -> tuple[FloatArray, FloatArray]:
+    """Return g [N/s/A] for currents of this sign, and the stiffness [N/m] of the velocity term h."""
+    high, low, alpha, area = (bench[name] for name in ("supply_pressure", "tank_pressure", "area_ratio", "piston_area"))
+    per_volume_a = bench["bulk_modulus"] * area / (bench["dead_volume_a"] + area * position)
+    volume_b = bench["dead_volume_b"] + alpha * area * (bench["stroke"] - position)
+    per_volume_b = alpha * bench["bulk_modulus"] * area / volume_b
+    flow = bench["valve_nominal_flow"] / bench["valve_nominal_current"]
+    drops = np.where(current >= 0.0, (high - pressure_a, pressure_b - low), (pressure_a - low, high - pressure_b))
+    flows = flow * np.sign(drops) * np.sqrt(np.abs(drops) / (0.5 * bench["valve_nominal_pressure_drop"]))
+    return per_volume_a * flows[0] + per_volume_b * flows[1], area * (per_volume_a + alpha * per_volume_b)
 
 
 class Host:
     """One session with a box: commands sent, states received. It begins and ends disarmed.
 
-    `line`: a port, or a box that is run in lock-step; `clock`: its time, s; `bench`: what the box's law believes.
+    `line`: a port, or a box that is run in lock-step; `clock`: its time, s; `bench`: what the box's law believes, if
+    known; `moving`: whether the box may be armed.
     """
 
     def __init__(
-        self, line: Port, clock: Callable[[], float] = time.monotonic, bench: Mapping[str, Any] | None = None
-    ) -> None:
-        self.line, self.clock, self.bench, self.decoder = line, clock, bench, Decoder()
-        self.info, self.details = protocol.BoxInfo(), protocol.BoxDetails()
-        self.law: protocol.BoxLaw | None = None
+        self, line: Port, clock: Callable[[], float] = time.monotonic, bench: Mapping[str, Any] | None = None,
+        moving: bool = False,
+    ) -> None:  # fmt: skip
+        self.line, self.clock, self.bench, self.moving, self.decoder = line, clock, bench, moving, Decoder()
+        self.info, self.details = BoxInfo(), protocol.BoxDetails()
+        self.laws = dict.fromkeys(Law, PAPER_LAW)
+        """Records of the laws, the paper's with the gains of HELLO; without LAW both are the paper's."""
         self.hello: tuple[int, int] | None = None
         """Of the box's last HELLO its sequence and the number of states before it."""
         self.states: list[State] = []
-        self.arrival_times: list[float] = []
+        self.acting: list[tuple[Command, int]] = []
+        """For each state the command in force, the safe one behind a HELLO, and the samples since it came."""
         self.command, self.sequence = Command(), 0
         self.commands: dict[int, Command] = {}
         """All that were sent, by sequence number."""
-        self.emulated, self.lag, self.longest_read_gap = False, 0, 0.0
-        """Whether the box sent CLOCK; samples by which the line delays a confirmation; s between two reads."""
-        self.notes: list[str] = []
-        """What a passed case could not examine."""
+        self.lag, self.read_at, self.longest_read_gap = 0, clock(), 0.0
+        """Samples by which the line delays a confirmation; time of the last read, s; longest time between two, s."""
+        self._frames = deque[protocol.Frame]()
 
     @property
     def feedback(self) -> str:
@@ -118,53 +184,67 @@ class Host:
         return f"{self.details.feedback or 'load'}_force"
 
     @property
+    def law(self) -> BoxLaw | None:
+        """The compensated law, if the box told it."""
+        return None if self.laws[Law.COMPENSATED] is self.laws[Law.PAPER] else self.laws[Law.COMPENSATED]
+
+    @property
     def force_scale(self) -> float:
         """Ratio of this box's load force limit to the nominal one, 700 N, by which forces of the cases are scaled."""
         return self.details.load_force_limit / 700.0 or 1.0
 
-    @property
-    def armed(self) -> list[State]:
-        """All armed states of the session."""
-        states = [state for state in self.states if state.flags & Flag.ARMED]
-        assert states, "it was not armed"
-        return states
+    def receive(self, samples: int, *, times: int = 0, every: int = 1) -> None:
+        """Receive states, and send the command `times` after each `every`-th; raises SilenceError after a `SILENCE`."""
+        for _ in range(samples):
+            last = self.clock()
+            while not self._take_frame():
+                self._frames += self.decoder.feed(self.line.read(0.005))
+                before, self.read_at = self.read_at, self.clock()
+                self.longest_read_gap = max(self.longest_read_gap, self.read_at - before)
+                if self.read_at - last > SILENCE and not self._frames:
+                    silent = no_frames_message(self.decoder.counts, LinkCounts(), SILENCE)
+                    raise SilenceError(
+                        f"the box sent no STATE for {SILENCE:g} s" if self.decoder.counts.frames else silent
+                    )
+            for _ in range(0 if len(self.states) % every else times):
+                self.send()
 
-    def receive(self, samples: int, each: Callable[[], object] = lambda: None) -> None:
-        """Receive a number of states, calling `each` after each; raises SilenceError after a second without any."""
-        wanted, read, last = len(self.states) + samples, self.clock(), self.clock()
-        while len(self.states) < wanted:
-            data, before, read = self.line.read(0.005), read, self.clock()
-            self.longest_read_gap = max(self.longest_read_gap, read - before)
-            for frame in self.decoder.feed(data):
-                if isinstance(frame, protocol.Hello) and frame.info is not None:
-                    self.info, self.hello = frame.info, (frame.sequence, len(self.states))
-                elif isinstance(frame, protocol.Details):
-                    self.details = frame.details
-                elif isinstance(frame, protocol.LawFrame):
-                    self.law = frame.record
-                elif isinstance(frame, protocol.ClockFrame):
-                    self.emulated = self.line.pseudo_terminal  # a device runs in real time
-                elif isinstance(frame, State):
-                    last = self.clock()
-                    self.states.append(frame)
-                    self.arrival_times.append(last)
-                    if len(self.states) <= wanted:
-                        each()
-            if self.clock() - last > 1.0:
-                told = protocol.version_mismatch_message(self.decoder.foreign_version or protocol.VERSION)
-                if self.decoder.foreign_version is None:
-                    told = no_frames_message(self.decoder.counts, LinkCounts(), 1.0)
-                raise SilenceError("the box sent no STATE for 1 s" if self.decoder.counts.frames else told)
+    def _take_frame(self) -> bool:
+        """Take received frames up to the next STATE; return whether there is one."""
+        while self._frames:
+            frame = self._frames.popleft()
+            if isinstance(frame, protocol.Hello) and frame.info is not None:
+                self.info, self.hello = frame.info, (frame.sequence, len(self.states))
+                gains = {name: getattr(frame.info, name) for name in GAIN_FIELDS}
+                self.laws = dict.fromkeys(Law, replace(PAPER_LAW, **gains))
+            elif isinstance(frame, protocol.Details):
+                self.details = frame.details
+            elif isinstance(frame, protocol.LawFrame):
+                self.laws[frame.law] = frame.record
+            elif isinstance(frame, State):
+                command, age = self.acting[-1] if self.acting else (Command(), 0)
+                if not self.states or frame.last_command != self.states[-1].last_command:
+                    command, age = self.commands.get(frame.last_command, Command()), -1
+                elif self.hello is not None and self.hello[1] == len(self.states):
+                    command, age = Command(), -1
+                self.acting.append((command, age + 1))
+                self.states.append(frame)
+                return True
+        return False
 
     def send(self, ahead: int = 1, noise: bytes = b"", **changes: Any) -> None:
-        """Send the last command with changes, `ahead` of the last number.
+        """Send the last command with changes, `ahead` of the last number; leave the case out if it may not be sent.
 
         Forces are scaled to this box, and a correction so that it moves no more, in proportion, than on the nominal
         bench, whose g is 10.53e6 N/s/A.
         """
+        if changes.get("arm") and not self.moving:
+            pytest.skip("may move the piston: --moving")
+        if changes.get("law") and not self.law:
+            pytest.skip("the box runs the paper's law only")
         if self.bench is not None and "delta_u" in changes:
             supply = 0.5 * self.bench["supply_pressure"]
-            gain = force_gain(self.bench, 0.5 * self.bench["stroke"], supply, supply, 1.0)
+            gain, _ = gain_and_stiffness(self.bench, 0.5 * self.bench["stroke"], supply, supply, 1.0)
             changes["delta_u"] *= min(1.0, self.force_scale * 10.53e6 / float(gain))
         for name in changes.keys() & {"amplitude", "offset"}:
             changes[name] *= self.force_scale
@@ -176,59 +256,29 @@ class Host:
         self.commands[self.sequence] = self.command
         self.line.write(noise + protocol.encode_command(self.sequence, int(1e6 * self.clock()), self.command))
 
-    def stream(self, samples: int, *, ahead: int = 1, every: int = 1, times: int = 1, **changes: Any) -> Step:
-        """Send a command and, after every `every`-th sample, `times` more, for `samples` behind the confirmation.
-
-        Raises AssertionError: the box confirms none.
-        """
-        begin, earlier, calls = len(self.states) - 1, len(self.commands), count(1)
-
-        def each() -> None:
-            for _ in range(0 if next(calls) % every else times):
-                self.send()
-
-        self.send(ahead, **changes)
-        for _ in range(REPLY_SAMPLES):  # a lagging host reads old samples first, and the line may buffer bytes
-            self.receive(1, each)
+    def stream(self, samples: int, *, times: int = 1, every: int = 1, **changes: Any) -> None:
+        """Send a command and, after every `every`-th sample, `times` more, for `samples` behind the confirmation."""
+        earlier = len(self.commands)
+        self.send(**changes)
+        for _ in range(300):  # a lagging host reads old samples first, and the line may buffer bytes
+            self.receive(1, times=times, every=every)
             if self.states[-1].last_command in [*self.commands][earlier:]:
-                break
-        else:
-            raise AssertionError(f"no command was taken within {REPLY_SAMPLES} samples")
-        at = len(self.states) - 1
-        self.receive(samples, each)
-        return Step(self, self.states[begin:], self.states[at:])
-
-    def once(self, *, ahead: int = 1, samples: int = 15, **changes: Any) -> Step:
-        """Send one command."""
-        return self.stream(samples, ahead=ahead, times=0, **changes)
-
-    def wait(self, samples: int) -> Step:
-        """Receive a number of states, and what is under way, without a command."""
-        begin = len(self.states) - 1
-        self.receive(samples + self.lag)
-        return Step(self, self.states[begin:], self.states[begin + 1 :])
+                return self.receive(samples, times=times, every=every)
+        raise AssertionError("no command was taken within 300 samples")
 
     def body(self, ahead: int = 1) -> bytes:
         """Return a COMMAND with another K_p as it stands in a frame, without its CRC."""
         changed = replace(self.command, delta_kp=self.command.delta_kp + 3.0)
         return cobs.decode(protocol.encode_command((self.sequence + ahead) % 2**32, 0, changed)[1:-1])[:-4]
 
-    def send_wrong(self, frame: bytes, samples: int = 5) -> Step:
-        """Send a frame with another K_p, and check that the box does not take it."""
-        self.line.write(frame)
-        step = self.wait(samples)
-        expect(step.confirmed, "proportional_gain", columns(step.states[:1])["proportional_gain"], 0.0)
-        return step
-
-    def greet(self, within: int = REPLY_SAMPLES) -> Step:
-        """Send HELLO, and receive the states since its answer, which must come `within` samples and the line's lag."""
-        begin, self.details, self.law, self.hello = len(self.states), protocol.BoxDetails(), None, None
+    def greet(self, within: int = 300) -> None:
+        """Send HELLO, whose answer must come `within` samples and the line's lag, and receive 30 samples."""
+        begin, self.details, self.hello = len(self.states), protocol.BoxDetails(), None
         self.line.write(protocol.encode_hello(0, int(1e6 * self.clock())))
         while self.hello is None:
             assert len(self.states) < begin + within + self.lag, f"no HELLO came within {within + self.lag} samples"
             self.receive(1)
         self.receive(30)
-        return Step(self, self.states[self.hello[1] - 1 :], self.states[self.hello[1] :])
 
     def open(self) -> None:
         """Greet the box, and send it safe commands until it confirms one; discard all earlier states."""
@@ -237,13 +287,115 @@ class Host:
         if self.hello is None:
             self.greet()
         self.sequence = self.states[-1].last_command + 1000  # not a number of the previous session
+        begin = len(self.states)
         with suppress(AssertionError):
-            step = self.stream(20)
-            self.lag = len(step.states) - len(step.confirmed) - 1
-        self.states, self.arrival_times, self.commands = self.states[-1:], self.arrival_times[-1:], {}
-        self.longest_read_gap = 0.0
+            self.stream(20)
+            self.lag = len(self.states) - begin - 21
+        self.states, self.acting, self.hello, self.longest_read_gap = self.states[-1:], self.acting[-1:], None, 0.0
 
     def close(self) -> None:
         """Disarm the box."""
         self.command = Command()
-        self.receive(10 + self.lag, self.send)
+        self.receive(10 + self.lag, times=1)
+
+    def check(self, *names: str) -> None:
+        """Check these fields of all states by the commands in force."""
+        states, now = self.states, columns(self.states)
+        rows, signals = [], [ReferenceSignal()]
+        armed, tripped, disarm_seen, refused = False, False, True, (0, 0)
+        for state, (command, age) in zip(states, self.acting, strict=True):
+            law, late = self.laws[state.law_state.law], bool(state.flags & Flag.WATCHDOG)
+            taken, safe, beyond = within_limits(law, command)
+            acting = safe if late or command.law is not state.law_state.law else taken
+            plays = playable(command.reference, self.details.force_range or 1e6)
+            signals.append(command.reference if plays else signals[-1])
+            if age == 0:
+                values = beyond + (not abs(command.delta_u) <= self.info.delta_u_max) + (not plays)
+                refused = refused[0] + values, refused[1] + (not plays)
+            if age > 200:
+                armed, tripped, disarm_seen = False, tripped or armed, False
+            elif not command.arm:
+                armed, tripped, disarm_seen = False, False, True
+            elif not armed and not tripped:
+                armed, tripped = disarm_seen, not disarm_seen
+            delta_u = 0.0 if age > 3 else np.nan_to_num(command.delta_u)
+            rounding = age in (50, 200)  # a time-out may come a sample later
+            rows.append((armed, tripped, age > 50, late or not command.filter_fresh, *refused, *acting[:2], *safe[2:],
+                         *acting[2:], delta_u, rounding))  # fmt: skip
+        *rest, delta_u, rounding = np.array(rows, float).T
+        right = {name: np.zeros((2, len(rows))) for name in now}  # values and tolerances, first of a box that rests
+        for name, value in zip((*FLAGS, *COUNTS, *GAINS, *SHAPING), rest, strict=False):
+            right[name][0] = value
+            right[name][1] = rounding * (name in FLAGS) + 1e-6 * np.abs(value) * (name in GAINS)
+        right["reference_force"][0] = right["f_c"][0] = now[self.feedback]
+        for first, end in np.flatnonzero(np.diff(now["ARMED"], prepend=0.0, append=0.0)).reshape(-1, 2):
+            part, shaping = slice(first, end), np.array(rest[14:])
+            told = {name: column[part] for name, column in now.items()}
+            time_us, start = np.array([state.time_us for state in states[part]]), told[self.feedback][0]
+            tries, law = [], self.laws[states[first].law_state.law]
+            for fades in ENDS:
+                points = expected_reference(1e-6 * time_us, signals[1:][part], start, fades)
+                tries.append(
+                    self._armed(self.laws[states[first].law_state.law], told, points, shaping[:, part], delta_u[part])
+                )
+            misfits = [sum(np.abs(each[name][0] - told[name]).sum() for name in (*REFERENCE, "f_c'")) for each in tries]
+            for name, pair in tries[int(np.argmin(misfits))].items():
+                right[name][0][part], right[name][1][part] = pair
+        for name in names:
+            expect(states, name, now[name], *right[name])
+
+    def _armed(
+        self, law: BoxLaw, now: Mapping[str, FloatArray], points: FloatArray, shaping: FloatArray, delta_u: FloatArray
+    ) -> dict[str, tuple[Any, Any]]:
+        """Return right values and tolerances of the force law's fields from arming on, n samples.
+
+        `points`: f_r and its derivatives, shape (4, n). `shaping`: wanted, shape (6, n). `delta_u`: in force, A. What
+        the law computes from other fields follows from these as the box tells them, `now`. The integral is frozen
+        (anti-windup) while the current is at its limit and K_i e has the current's sign.
+        """
+        force, period, limit = self.force_scale, SAMPLE_PERIOD, self.info.valve_current_max
+        right: dict[str, tuple[Any, Any]] = {}
+        for name, wanted, off in zip(REFERENCE, points, (0.01, 0.5), strict=False):
+            right[name] = wanted, force * off + 1e-4 * np.abs(wanted)
+
+        low, safe, high, rate = np.array(law.shaping_limits)
+        steps = []
+        for n, name in enumerate(SHAPING):
+            before = np.append(safe[n], now[name][:-1])
+            step = np.clip(shaping[n] - before, -rate[n] * period, rate[n] * period)
+            right[name] = before + step, 2e-6 * max(abs(low[n]), abs(high[n]))
+            steps.append((now[name] - before) / period)
+
+        second, smooth, third = 0.0, np.empty(len(points.T)), np.append(0.0, points[3])
+        for n, jump in enumerate(points[2]):  # f_r'' through a low-pass of 4 ms
+            middle = second + 0.5 * period * (third[n] + third[n + 1])
+            smooth[n] = second = middle + (jump - middle) * period / (period + 4e-3)
+        terms: list[Any] = [now["reference_force"], now["reference_force_rate"], smooth, 1.0]
+        slopes: list[Any] = [terms[1], points[2], points[3] + (points[2] - smooth) / 4e-3, 0.0]
+        value, slope = np.zeros((2, len(smooth)))
+        for name, step, term, rises in zip(SHAPING, steps, terms, slopes, strict=False):
+            value += now[name] * term
+            slope += now[name] * rises + step * term
+        right["f_c"] = np.clip(value, -law.reference_max, law.reference_max), 0.02 * force
+        right["f_c'"] = np.where(np.abs(value) > law.reference_max, 0.0, slope), 1.0 * force
+
+        if bench := self.bench:
+            paper, gain, current = self.info.integral == "paper", now["integral_gain"], now["valve_current"]
+            error = now["f_c"] - now[self.feedback]
+            frozen = (np.abs(current) >= (1.0 - 1e-6) * limit) & (current * gain * error > 0.0)
+            summed = period * np.where(frozen, 0.0, error if paper else gain * error)
+            integral = (np.cumsum(summed) - summed) * (gain if paper else 1.0)
+            alpha, position = bench["area_ratio"], np.clip(now["piston_position"], 0.0, bench["stroke"])
+            rest, pressures = bench["supply_pressure"] / (1.0 + alpha), (now["pressure_a"], now["pressure_b"])
+            least = 0.1 * gain_and_stiffness(bench, bench["spring_rest_position"], alpha * rest, rest, 1.0)[0]
+            moving = gain_and_stiffness(bench, position, *pressures, 1.0)[1] * now["piston_velocity"]
+            driven = now["f_c'"] + now["proportional_gain"] * error + integral + now["C_1"] * moving
+            gained = now["C_2"] * gain_and_stiffness(bench, position, *pressures, driven)[0]
+            nominal = driven / np.maximum(gained, least)
+            right["nominal_valve_current"] = nominal, 2e-7 + 1e-4 * np.abs(nominal)
+
+        whole = now["nominal_valve_current"] + delta_u
+        cut = np.clip(whole, -limit, limit)
+        right["valve_current"] = cut, 1e-7 + 1e-6 * np.abs(cut)
+        right["SATURATED"] = np.abs(whole) > limit, np.abs(np.abs(whole) - limit) <= 1e-6
+        return right

@@ -10,7 +10,7 @@ Delimiters on both sides let a frame after garbage be read completely: resynchro
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import astuple, dataclass, fields, replace
 from enum import IntEnum
 from math import copysign, inf
@@ -237,10 +237,6 @@ class LawState(NamedTuple):
     """C_2 [-]."""
 
 
-DISARMED_LAW = LawState()
-"""State of the paper's law in a disarmed box with a measured force of 0 N."""
-
-
 class Hello(NamedTuple):
     """The HELLO frame: identity and protocol versions; `info` is None from the host."""
 
@@ -320,25 +316,6 @@ _CRC = Struct("<I")
 _ARM_BIT, _FILTER_FRESH_BIT = 1, 2
 
 
-def encode_state(
-    sequence: int,
-    time_us: int,
-    values: Sequence[float],
-    flags: int,
-    last_command: int,
-    refused: tuple[int, int] = (0, 0),
-    law_state: LawState = DISARMED_LAW,
-) -> bytes:
-    """Encode STATE, one sample; `values` are sent as float32, beyond its range as infinity.
-
-    `sequence` counts box samples and wraps at 2^32, `time_us` is the box's clock. `last_command` is 0 before the first;
-    the host measures the round trip with it. `refused`: counts of refused values and references.
-    """
-    law, value, rate, coefficients, *scales = law_state
-    counts = flags, last_command, *(count & 0xFFFFFFFF for count in refused)
-    return _encode(FrameType.STATE, sequence, time_us, *values, *counts, law, value, rate, *coefficients, *scales)
-
-
 def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     """Encode COMMAND; `time_us` is the host's clock."""
     reference = command.reference
@@ -346,7 +323,7 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     signal = (reference.waveform, reference.amplitude, reference.offset, reference.frequency, reference.phase)
     values = (bits, command.corrected_sequence, *numbers, *signal, command.law, *command.shaping, 0.0)
-    return _encode(FrameType.COMMAND, sequence, time_us, *values)
+    return encode(FrameType.COMMAND, sequence, time_us, *values)
 
 
 def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, lock_step: bool = False) -> bytes:
@@ -356,25 +333,12 @@ def encode_hello(sequence: int, time_us: int, info: BoxInfo | None = None, *, lo
     """
     name, *numbers, integral = astuple(info) if info else ("", *(0.0,) * 9, "")
     who = (VERSION, VERSION, info is not None, INTEGRAL_FORMS.index(integral) if info else lock_step)
-    return _encode(FrameType.HELLO, sequence, time_us, *who, name.encode()[:32], *numbers)
-
-
-def encode_details(sequence: int, time_us: int, details: BoxDetails) -> bytes:
-    """Encode DETAILS, which follow each HELLO of a box."""
-    epoch, digest, feedback, laws, *numbers = astuple(details)
-    who = (epoch & 0xFFFFFFFF, digest.encode()[:12], FEEDBACK_FORCES.index(feedback), laws)
-    return _encode(FrameType.DETAILS, sequence, time_us, *who, *numbers)
+    return encode(FrameType.HELLO, sequence, time_us, *who, name.encode()[:32], *numbers)
 
 
 def encode_clock(time_us: int, *, waits: bool) -> bytes:
     """Encode CLOCK, the time of an emulator; `waits`: each sample waits for the COMMAND with its time."""
-    return _encode(FrameType.CLOCK, 0, time_us, waits)
-
-
-def encode_law(sequence: int, time_us: int, record: BoxLaw) -> bytes:
-    """Encode LAW, the compensated law of a box; it follows DETAILS that offer this law."""
-    *numbers, lowest, highest, fastest = astuple(record)
-    return _encode(FrameType.LAW, sequence, time_us, Law.COMPENSATED, *numbers, *lowest, *highest, *fastest)
+    return encode(FrameType.CLOCK, 0, time_us, waits)
 
 
 def decode(encoded: bytes) -> Frame:
@@ -419,7 +383,7 @@ def encode_frame(body: bytes) -> bytes:
     return b"\0" + stuffed + b"\0"
 
 
-def _encode(kind: FrameType, sequence: int, time_us: int, *values: Any) -> bytes:
+def encode(kind: FrameType, sequence: int, time_us: int, *values: Any) -> bytes:
     """Return a frame; numbers beyond the range of float32 become infinite."""
     head = (HANDSHAKE_VERSION if kind is FrameType.HELLO else VERSION, kind, sequence & 0xFFFFFFFF, time_us)
     try:
