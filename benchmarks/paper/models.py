@@ -30,6 +30,7 @@ from typing import Any
 import numpy as np
 import torch
 
+from benchmarks.paper.predictions import AnalyticModel, BenchPrediction, Predictor, ScoredRun, prediction_errors
 from benchmarks.paper.store import LOSSES, PRINTED, TIMES, Result, Store, truth
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, to_matrix
 from hydro_sim.emulator.offline import Recording, record_offline
@@ -37,8 +38,6 @@ from hydro_sim.excitation import draw_schedule
 from hydro_sim.files import recordings
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.files.recordings import Data, Run
-from hydro_sim.identification import validate
-from hydro_sim.identification.validate import AnalyticModel, BenchPrediction, Predictor, ScoredRun
 from hydro_sim.model.bench import Bench
 
 HORIZON, APART = 70, 37
@@ -113,9 +112,9 @@ def _trained(store: Store, loss: str, seed: int) -> Result:
 def judged(model: Predictor, bench: str) -> Result:
     """Errors on the recording that is held out."""
     scored = held_out(bench)
-    reference = np.concatenate([item.reference for item in scored])
+    reference = np.concatenate([item.truth for item in scored])
     states = [model.estimate(item.run) for item in scored]
-    found = validate.prediction_errors(model, states, scored, recorded=False, horizon=HORIZON, stride=APART)
+    found = prediction_errors(model, states, scored, horizon=HORIZON, stride=APART)
     return {
         "over_range": (found.rmse / np.ptp(reference, axis=0)).tolist(),
         "over_std": (found.rmse / reference.std(axis=0)).tolist(),

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any
 from cycler import cycler
 
 from hydro_core.files.atomic import write_atomic
-from hydro_core.signals import StateArray
 
 if TYPE_CHECKING:  # matplotlib is imported with the first figure: commands that draw nothing start sooner
     from matplotlib.axes import Axes
@@ -77,13 +76,6 @@ def figure(
         content = BytesIO()
         drawing.savefig(content, format=Path(path).suffix[1:] or None)
         write_atomic(Path(path), content.getvalue())
-
-
-def plot_field(axes: Axes, states: StateArray, field: str, **style: Any) -> None:
-    """Plot a field over time in its display unit."""
-    name, unit, factor = UNITS[field]
-    axes.plot(states["time"], factor * states[field], label=style.pop("label", name), **style)
-    axes.set_ylabel(f"[{unit}]")
 
 
 def add_legend(axes: Axes) -> None:

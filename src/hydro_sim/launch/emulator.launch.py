@@ -6,7 +6,7 @@ from launch.actions import DeclareLaunchArgument, ExecuteProcess
 from launch.substitutions import LaunchConfiguration
 from launch_ros.substitutions import ExecutableInPackage
 
-from hydro_core.cli.launch_arguments import refuse_unknown_arguments
+from hydro_bridge.ros.launch_arguments import refuse_unknown_arguments
 from hydro_sim.emulator.line.terminal import default_link
 
 

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.protocol import CommandFrame, decode, encode_command
-from hydro_core.signals import SAMPLES_PER_STEP, Command, Flag, FloatArray, Law, ReferenceSignal, Waveform, to_matrix
+from hydro_core.signals import SAMPLES_PER_STEP, Command, Flag, Law, ReferenceSignal, Waveform, to_matrix
 from hydro_sim.box.box import Box, BoxConfig
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -123,24 +123,6 @@ def test_a_box_takes_every_reference_that_the_guard_lets_through(
     assert taken or command.reference == ReferenceSignal()
 
 
-any_float = st.floats(allow_nan=True, allow_infinity=True)
-
-
-@given(x=st.lists(any_float, min_size=8, max_size=8), numbers=st.lists(any_float, min_size=7, max_size=7))
-@example(x=[0.0] * 8, numbers=[0.0, 0.0, 0.0, 2.9e307, 0.0, 1.0, 0.0])  # its rate overflows
-@settings(max_examples=200, deadline=None)
-def test_whatever_comes_in_what_reaches_the_valve_is_finite(x: FloatArray, numbers: list[float]) -> None:
-    rig, (delta_kp, delta_ki, delta_u, amplitude, offset, frequency, phase) = Rig(Bench.nominal()), numbers
-    signal = ReferenceSignal(
-        waveform=Waveform.SINE, amplitude=amplitude, offset=offset, frequency=frequency, phase=phase
-    )
-    rig.go(1, Command())
-    wild = Command(arm=True, delta_kp=delta_kp, delta_ki=delta_ki, delta_u=delta_u, reference=signal)
-    assert np.isfinite(rig.go(5, wild)["valve_current"]).all()
-    current = rig.go(1, wild, **{f"x{i}": value for i, value in enumerate(x)})["valve_current"]
-    assert np.isfinite(current) and abs(current) <= Bench.nominal().valve_current_max
-
-
 @pytest.mark.parametrize(
     "numbers", [{}, {"spring_stiffness": 4e3}, {"spring_stiffness": 8e4}, {"bulk_modulus": 2e8}, {"piston_area": 1e-3}]
 )
@@ -163,13 +145,6 @@ def test_the_compensated_law_closes_its_loop_alike_on_every_bench(bench: Bench, 
     slope, law = 1.0 + oil / one.spring_stiffness, gains[0] + gains[1] / s
     assert followed / wanted == pytest.approx((s + law) / (inertia + s * slope + law), rel=0.02)
     assert (gains[0] / slope, gains[1] / gains[0]) == pytest.approx((21.35, 15.0 / 400.0), rel=1e-3)
-
-
-def test_the_upper_gain_tracks_and_a_little_more_shakes_on_the_nominal_bench(bench: Bench) -> None:
-    schedules = (Schedule(reference=SINE, gains=(gain, 15.0), seconds=4.0) for gain in (90.0, 105.0))
-    runs = (simulate(AnalyticPlant(bench), bench, schedule)[1000:] for schedule in schedules)
-    best, more = (np.sqrt(np.mean((run["reference_force"] - run["load_force"]) ** 2)) for run in runs)
-    assert 2.0 < best < 6.0 and more > 3.0 * best
 
 
 def test_the_compiled_loop_gives_the_nodes_numbers_to_the_bit(bench: Bench) -> None:
@@ -196,5 +171,3 @@ def test_recorded_reference_is_played_as_it_was(bench: Bench, law: Law, gains: t
     again = simulate(AnalyticPlant(bench), bench, replace(schedule, reference=recorded), seed=3)
     for name in ("reference_force", "load_force", "valve_current"):
         np.testing.assert_allclose(again[name], run[name], atol=1e-9)
-    with pytest.raises(ValueError, match="for 2000 samples"):
-        simulate(AnalyticPlant(bench), bench, replace(schedule, reference=recorded[1:]))

@@ -13,7 +13,6 @@ from random import Random
 import numpy as np
 import pytest
 
-from hydro_bridge.conformance.reference import evaluate_signal
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.settings import SettingsError
@@ -29,10 +28,11 @@ from hydro_core.signals import (
 )
 from hydro_sim.box import firmware
 from hydro_sim.box.box import NAME, Box, BoxConfig, box_info, law_state
-from hydro_sim.box.firmware import STRUCTURES, Precision, reference_force
+from hydro_sim.box.firmware import STRUCTURES, Precision
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.sensors import Sensors
+from tests.box_frames import encode_state
 from tests.checks import compiled, ran
 
 FIRMWARE = Path(__file__).resolve().parents[3] / "firmware"
@@ -153,16 +153,6 @@ def test_a_greeted_box_tells_what_it_was_configured_with() -> None:
     assert single(astuple(law.record)) == single(astuple(config.compensated))
 
 
-@pytest.mark.parametrize("waveform", Waveform)
-def test_planning_sees_the_reference_that_conformance_derives(waveform: Waveform) -> None:
-    signal = ReferenceSignal(waveform=waveform, amplitude=120.0, offset=-20.0, frequency=1.7, phase=0.4)
-    times = np.linspace(0.0, 3.0, 3001)
-    values, rates = reference_force(signal, times)
-    expected = evaluate_signal(signal, times)
-    np.testing.assert_allclose(values, expected[0], rtol=0.0, atol=1e-9)
-    np.testing.assert_allclose(rates, expected[1], rtol=0.0, atol=1e-6)
-
-
 def bits(sample: np.void) -> bytes:
     """All of a sample, without what lies between its fields."""
     return struct.pack("<dI14dI", *sample.item())
@@ -187,9 +177,7 @@ def test_a_command_past_the_line_acts_as_by_the_line_and_frames_tell_the_sample(
         acting = law_state(line.state[0])
         assert repr(acting) == repr(law_state(past.state[0])), k  # with NaN where a sensor shows it
         _, sequence, *values, flags = sample.item()
-        state = protocol.encode_state(
-            sequence, 1000 * k, values, flags, int(line.state["confirmed"][0]), line.refused, acting
-        )
+        state = encode_state(sequence, 1000 * k, values, flags, int(line.state["confirmed"][0]), line.refused, acting)
         assert line.frames()[-len(state) :] == state, k
         seen.add(flags)
         if flags & Flag.ARMED and acting.law is Law.COMPENSATED:

@@ -16,6 +16,7 @@ from hydro_sim.box.box import Box
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.simulation.realtime import SimSettings, Simulation
+from hydro_sim.timer import PeriodicTimer
 from tests.checks import wait
 
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=200.0, frequency=2.0)
@@ -104,3 +105,18 @@ def test_at_a_factor_of_real_time_nobody_is_waited_for_and_time_is_the_simulatio
         assert time.monotonic() - graph.simulation.began > 0.09
     assert all(fields[-1] & Flag.PACED for fields in graph.samples)
     assert graph.stamps[:400] == [1_000_000 * k for k in range(400)]
+
+
+def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:
+    timer = PeriodicTimer(1e-3, catch_up_max=2.0)  # longer than a busy machine keeps a thread waiting
+    start = timer.deadline_ns
+    time.sleep(0.02)
+    for _ in range(30):
+        timer.wait()
+    assert timer.deadline_ns == start + 30_000_000 and timer.skipped == 0.0 and timer.late >= 15
+    timer = PeriodicTimer(1e-3, catch_up_max=0.05)
+    time.sleep(0.1)
+    before = time.monotonic_ns()
+    timer.wait()
+    assert timer.skipped >= 0.09
+    assert before - 1_000_000 <= timer.deadline_ns <= time.monotonic_ns() + 1_000_000

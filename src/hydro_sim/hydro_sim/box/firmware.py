@@ -17,6 +17,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import os
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -119,6 +120,23 @@ def library_path(precision: Precision) -> Path:
     raise SettingsError(f"{name} is not built: run `make setup`, and `source install/setup.bash`")
 
 
+def declare(
+    code: ctypes.CDLL, functions: Mapping[str, tuple[Any, list[Any]]], sizes: str, kinds: Sequence[np.dtype[Any]]
+) -> None:
+    """Declare the functions of a library. Raises SettingsError: it is of another version.
+
+    `functions`: result and arguments by name. `sizes`: name of the function that tells the sizes of `kinds`.
+    """
+    found = (ctypes.c_size_t * len(kinds))()
+    with contextlib.suppress(AttributeError):  # the sizes stay 0
+        for name, (result, arguments) in functions.items():
+            function = getattr(code, name)
+            function.restype, function.argtypes = result, arguments
+        getattr(code, sizes)(found)
+    if list(found) != [kind.itemsize for kind in kinds]:
+        raise SettingsError("the built firmware is of another version: run `make setup`")
+
+
 @cache
 def library(precision: Precision = "double") -> ctypes.CDLL:
     """Load the firmware's library. Raises SettingsError: it is not built, or of another version."""
@@ -134,14 +152,8 @@ def library(precision: Precision = "double") -> ctypes.CDLL:
         "hydro_c_nominal_current": (number, [Pointer, Pointer, *[number] * 6]),
         "hydro_c_play": (None, [Pointer, Pointer, count, Pointer, Pointer]),
     }
-    kinds, sizes = STRUCTURES[precision], (count * 4)()
-    with contextlib.suppress(AttributeError):  # the sizes stay 0
-        for name, (result, arguments) in declared.items():
-            function = getattr(code, name)
-            function.restype, function.argtypes = result, arguments
-        code.hydro_c_sizes(sizes)
-    if list(sizes) != [kind.itemsize for kind in (kinds.box, kinds.config, kinds.command, kinds.signal)]:
-        raise SettingsError("the built firmware is of another version: run `make setup`")
+    kinds = STRUCTURES[precision]
+    declare(code, declared, "hydro_c_sizes", (kinds.box, kinds.config, kinds.command, kinds.signal))
     return code
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import get_args
 
 from hydro_bridge.plant_clock import parse_pace
-from hydro_core.cli.console import bounded_number, command, writable_file, writable_folder
+from hydro_core.cli.console import bounded_number, command, writable_folder
 from hydro_core.process import termination
 from hydro_core.settings import SettingsError
 from hydro_sim.box.box import BoxConfig, Integral
@@ -61,14 +61,12 @@ def _parser() -> argparse.ArgumentParser:
     group = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
     group.add_argument("--offline", action="store_true")
     group.add_argument("--out", type=writable_folder, metavar="BAG", help="folder of the recording, made here")
-    group.add_argument("--noise-free", type=writable_file, metavar="FILE.npz",
-                       help="also write the run without noise, for scoring only")  # fmt: skip
     group.add_argument("--schedule", metavar="FILE", help="references and gains (default: 20 s of everything)")
     return parser
 
 
 def _record(options: argparse.Namespace) -> None:
-    """Record offline into a folder and, if asked for, a noise-free file; prints one line."""
+    """Record offline into a folder; prints one line."""
     if not options.out:
         raise SettingsError("--offline needs --out, the folder of the recording")
     if options.precision != "double":
@@ -81,15 +79,13 @@ def _record(options: argparse.Namespace) -> None:
     box = offline.with_gain_limits_for(segments, BoxConfig(integral=options.integral).of_bench(bench))
     recording = offline.record_offline(truth, segments, bench=bench, box=box, seed=options.seed)
     offline.write_bag(options.out, recording, bench)
-    if options.noise_free:
-        recording.save_noise_free(options.noise_free)
     print(f"{options.out}: {len(recording.states) * 1e-3:g} s of bench in {time.perf_counter() - began:.2f} s")
 
 
 def _serve(options: argparse.Namespace) -> None:
     """Run the bench on a serial line until it is stopped; print the port, and statistics at the end."""
-    if options.out or options.schedule or options.noise_free:
-        raise SettingsError("--out, --schedule and --noise-free record offline: add --offline")
+    if options.out or options.schedule:
+        raise SettingsError("--out and --schedule record offline: add --offline")
     bench, pace = Bench.load(options.bench) if options.bench else Bench.nominal(), parse_pace(options.pace)
     box, truth = BoxConfig(integral=options.integral).of_bench(bench), offline.load_truth_config(options.truth, bench)
     faults, epoch = load_faults(options.faults), 1 + secrets.randbelow(0xFFFFFFFF)

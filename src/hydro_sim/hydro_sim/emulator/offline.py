@@ -20,7 +20,6 @@ from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig, fill_command
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.truth.config import TruthBench, TruthConfig, load_truth, truth_from_mapping
-from hydro_sim.emulator.truth.plant import TRUTH_FIELDS
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import NOMINAL, Bench
 
@@ -34,14 +33,7 @@ class Recording:
     noise_free: StateArray
     """The same run's readings without noise and quantisation, amplifiers' lags included; for scoring only."""
     physical: FloatArray
-    """The truth before any sensor, columns `TRUTH_FIELDS`, shape (n, 12); for scoring only."""
-
-    def save_noise_free(self, path: str | Path) -> None:
-        """Write `noise_free` and `physical` (with `physical_fields`) to an .npz file; a missing folder is made."""
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        np.savez_compressed(
-            path, noise_free=self.noise_free, physical=self.physical, physical_fields=np.array(TRUTH_FIELDS)
-        )
+    """The truth before any sensor, columns `truth.plant.TRUTH_FIELDS`, shape (n, 12); for scoring only."""
 
 
 def record_offline(

@@ -6,6 +6,7 @@ No sensor shows them: for scoring only.
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import numpy as np
@@ -22,8 +23,16 @@ Ring = npt.NDArray[np.void]
 
 
 def create_ring(path: Path) -> Ring:
-    """Create the ring file; write to it by `write_force`."""
-    return np.memmap(path, _DTYPE, "w+", shape=(RING_SIZE,))
+    """Create the ring file; write to it by `write_force`. Raises OSError: it cannot be made, or the disk is full.
+
+    Its blocks are reserved: a page of a sparse file that finds no room later ends the process (SIGBUS).
+    """
+    with path.open("wb") as file:
+        try:
+            os.posix_fallocate(file.fileno(), 0, RING_SIZE * _DTYPE.itemsize)
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(path)) from None
+    return np.memmap(path, _DTYPE, "r+", shape=(RING_SIZE,))
 
 
 def write_force(ring: Ring, sequence: int, force: float) -> None:

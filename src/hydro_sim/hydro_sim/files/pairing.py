@@ -21,7 +21,6 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from safetensors import SafetensorError
 from safetensors.numpy import load, save
 
 from hydro_bridge.safety.box_info import BoxDescription
@@ -157,8 +156,4 @@ def with_provenance(blob: bytes, provenance: Provenance | None) -> bytes:
     header = {key: value for key, value in header_of(blob).items() if key != HEADER_KEY}
     if provenance is not None:
         header[HEADER_KEY] = asdict(provenance)
-    try:
-        tensors = load(blob)
-    except SafetensorError as error:
-        raise ValueError(f"not a whole file of weights: {error}") from error
-    return bytes(save(tensors, {"hydro": json.dumps(header)}))
+    return bytes(save(load(blob), {"hydro": json.dumps(header)}))

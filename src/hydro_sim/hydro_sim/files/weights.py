@@ -18,7 +18,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save as serialize
 
 from hydro_core.files.atomic import write_atomic
-from hydro_core.files.tensors import InvalidTensorError, check_finite
+from hydro_core.files.tensors import check_finite
 from hydro_sim.files.pairing import HEADER_KEY, Provenance
 
 FORMAT = 1
@@ -46,20 +46,12 @@ def load(path: str | Path) -> tuple[Tensors, dict[str, Any]]:
     """
     try:
         with safe_open(str(path), framework="numpy") as file:
-            metadata = file.metadata() or {}
+            header: dict[str, Any] = json.loads((file.metadata() or {})["hydro"])
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118 (not a mapping)
-    except (OSError, SafetensorError) as error:
+        check_finite(tensors)
+    except (OSError, SafetensorError, KeyError, TypeError, ValueError) as error:
         reason = "there is no such file" if not Path(path).exists() else " ".join(str(error).split())
         raise WeightsError(f"{path} cannot be read as weights: {reason}") from error
-    try:
-        header = json.loads(metadata["hydro"])
-        kind = header["format"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise WeightsError(f"{path} holds no weights: its header has no readable entry 'hydro'") from error
-    if kind != FORMAT:
-        raise WeightsError(f"{path} is of format {kind}, this version reads format {FORMAT}: make it again")
-    try:
-        check_finite(tensors)
-    except InvalidTensorError as error:
-        raise WeightsError(f"{path} is damaged: {error}") from None
+    if header.get("format") != FORMAT:
+        raise WeightsError(f"{path} is not of format {FORMAT}, which this version reads: make it again")
     return tensors, header

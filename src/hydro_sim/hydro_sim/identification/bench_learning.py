@@ -103,16 +103,12 @@ def learn(
     """Return the bench with its effects' and closures' parameters fitted to `count` windows of the training runs.
 
     A bench file without effects gets `COMMON_EFFECTS`.
-
-    Raises ValueError: the recordings have no room for windows.
     """
     if not bench.terms:
         bench = replace(bench, load_cell_bandwidth=None, effects=COMMON_EFFECTS)
     exact = Sensitivities(BenchModel(with_longer_dead_times(bench), substeps=SUBSTEPS))
     parametrisation, noise = Parametrisation(bench, exact.model), bench_states.estimate_noise(data.training)
     places = [(i, begin) for i, run in enumerate(data.training) for begin in _window_begins(run, HORIZON_SAMPLES)]
-    if len(places) < 2:
-        raise ValueError("the recordings have no room for predictions: record more")
     picked = np.random.default_rng(seed).choice(len(places), min(count, len(places)), replace=False)
     begins = ([places[j][1] for j in picked if places[j][0] == i] for i in range(len(data.training)))
     chosen = [np.sort(one).astype(np.int64) for one in begins]  # of each run, in rising order, without overlap

@@ -31,7 +31,6 @@ import casadi
 import numpy as np
 from casadi import SX, vertcat
 
-from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.model import equations as eq
 from hydro_sim.model import rates
 from hydro_sim.model.effects.base import Effect, EffectContext
@@ -80,14 +79,14 @@ class Assembly:
 
     `ranges`: range of each of the bench's parameters, by name. `effects`: in the order of the bench file.
     `ideal_cell`: whether the load cell is ideal. `past_currents`: number of past currents, for dead times.
-    `substeps`: integration steps per sample.
+    `substeps`: integration steps per sample of `period` [s].
     """
 
     def __init__(
         self, ranges: Mapping[str, tuple[float, float]], effects: Sequence[Effect], *, ideal_cell: bool,
-        past_currents: int, substeps: int,
+        past_currents: int, substeps: int, period: float,
     ) -> None:  # fmt: skip
-        self.effects, self.past_currents, self.step = effects, past_currents, SAMPLE_PERIOD / substeps
+        self.effects, self.past_currents, self.period, self.step = effects, past_currents, period, period / substeps
         self._symbols: list[SX] = []
         self._expressions: list[SX] = []
         self.theta: dict[str, SX] = {name: SX.sym(name) for name in ranges}
@@ -187,8 +186,8 @@ class Assembly:
         if not self.past_currents:
             return self.current
         together = sum(effect.time for effect in self.effects if effect.id == "transport_delay")
-        begin = self.share - self.hoist(together / SAMPLE_PERIOD)
-        width, first, mean = self.step / SAMPLE_PERIOD, self.y.numel() - self.past_currents, 0.0
+        begin = self.share - self.hoist(together / self.period)
+        width, first, mean = self.step / self.period, self.y.numel() - self.past_currents, 0.0
         for age in range(self.past_currents):
             covered = np.fmin(begin + width, 1.0 - age) - np.fmax(begin, -age)
             mean = mean + self.y[first + age] * np.fmax(covered, 0.0)

@@ -122,8 +122,6 @@ class Bench:
 
         Raises ValueError: a key is missing, unknown, or its value is not a number in range.
         """
-        if not isinstance(content, Mapping):
-            raise ValueError("a bench is a mapping of keys to numbers")
         known = describe(cls)
         missing = [name for name, setting in known.items() if setting.required and name not in content]
         if len(missing) > 1 and content.keys() <= known.keys():

@@ -48,6 +48,28 @@ void bench_rollout(const double *k, double *y, long n, const double *u, double *
         bench_sample(k, y, u[h], z + Z * h);
 }
 
+// y at n samples of a record that gives its first four states, recorded n x 4: states n x N, whose others follow them.
+void bench_hidden(const double *k, double *y, long n, const double *u, const double *recorded, double *states)
+{
+    double z[Z];
+    for (long h = 0; h < n; h++) {
+        memcpy(y, recorded + 4 * h, 4 * sizeof *y);
+        memcpy(states + N * h, y, N * sizeof *y);
+        bench_sample(k, y, u[h], z);
+    }
+}
+
+// z at n samples of each window, windows x n x 5, from its state, y windows x N, and the currents from u[begins] on.
+void bench_windows(const double *k, double *y, long windows, const long long *begins, long n, const double *u, double *z)
+{
+    double after[Z];
+    for (long w = 0; w < windows; w++, y += N)
+        for (long h = 0; h < n; h++, z += Z) {
+            read(k, y, z);
+            bench_sample(k, y, u[begins[w] + h], after);
+        }
+}
+
 // y' at n samples: states n x N, currents n, rates n x RATES.
 void bench_rates(const double *k, long n, const double *y, const double *u, double *slopes)
 {

@@ -24,6 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.model import hydraulics, machine_code
@@ -37,7 +38,7 @@ if TYPE_CHECKING:
 
 SUBSTEPS = 20
 """Integration steps per sample: 50 us, a 220th of a period of the 90 Hz mass-on-oil mode."""
-PAST_CURRENT_COUNTS = (0, 4, 8, 16, 32, 64)
+PAST_CURRENT_COUNTS = (0, 4, 8, 16, 32, 64, 128)
 """Possible numbers of past currents of a model; it has the smallest that its dead time needs."""
 DEAD_TIME_PARAMETER = f"{valve.TransportDelay.id}.time"
 """Name of a dead time among the parameters; a model's past currents limit its value."""
@@ -48,11 +49,11 @@ TEXTBOOK_STATE_COUNT = 6
 class BenchModel:
     """Model of a bench with its effects; see the module's docstring.
 
-    `bench`: parameters and effects. `substeps`: integration steps per sample, an even number.
+    `bench`: parameters and effects. `substeps`: integration steps per sample, an even number. `period`: of a sample, s.
     """
 
-    def __init__(self, bench: Bench, *, substeps: int = SUBSTEPS) -> None:
-        self.bench, self.substeps = bench, substeps
+    def __init__(self, bench: Bench, *, substeps: int = SUBSTEPS, period: float = SAMPLE_PERIOD) -> None:
+        self.bench, self.substeps, self.period = bench, substeps, period
         kinds = [catalogue.parse_entry(effect) for effect in bench.terms]
         numbers = [float(getattr(bench, name) or 0.0) for name in bench.quantities()]
         own = tuple(
@@ -68,9 +69,9 @@ class BenchModel:
         self.values: FloatArray = np.array(numbers + [value for _, values in kinds for value in values])
         """The parameters' values in the bench file."""
         labels, delay = tuple(catalogue.label(effect) for effect in bench.terms), catalogue.total_delay(bench.effects)
-        needed = ceil(delay / SAMPLE_PERIOD) + 2 if delay > 0.0 else 0
+        needed = ceil(delay / period) + 2 if delay > 0.0 else 0
         past = next(count for count in PAST_CURRENT_COUNTS if count >= needed)
-        self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps)
+        self.structure = Structure(labels, bench.load_cell_bandwidth is None, past, substeps, period)
         """Equal for all benches with the same effects in order."""
         current = HiddenState(name="", unit="A", scale=1e-2, integrated=False)
         currents = (replace(current, name=f"current {i} samples ago") for i in range(past))
@@ -81,10 +82,13 @@ class BenchModel:
         code = library(self.structure, "derivatives") if name == "bench_jacobian" else self._code
         return ctypes.cast(getattr(code, name), ctypes.c_void_p).value or 0
 
-    def begin(self, theta: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return coefficients k, and states y and readings z at rest with relaxed spring and p_a + p_b = p_s."""
+    def begin(self, theta: FloatArray, textbook: FloatArray | None = None) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Return coefficients k, states y and readings z; hidden states are at rest.
+
+        `textbook`: the textbook's states, shape (6,); else with relaxed spring and p_a + p_b = p_s.
+        """
         k, y, z = np.empty(self.coefficients), np.zeros(len(self.states)), np.empty(len(READINGS))
-        y[:TEXTBOOK_STATE_COUNT] = hydraulics.rest_state(self.bench.constants()[0])
+        y[:TEXTBOOK_STATE_COUNT] = hydraulics.rest_state(self.bench.constants()[0]) if textbook is None else textbook
         self._code.bench_begin(to_c(theta, (len(self.parameters),)), to_c(k), to_c(y), to_c(z))
         return k, y, z
 
@@ -98,6 +102,42 @@ class BenchModel:
         """Return readings after each of n samples, shape (n, 5); y changes in place."""
         n, z = len(currents), np.empty((len(currents), len(READINGS)))
         self._code.bench_rollout(*self._at(k, y), ctypes.c_long(n), to_c(currents, (n,)), to_c(z))
+        return z
+
+    def hidden_states(self, k: FloatArray, y: FloatArray, currents: FloatArray, recorded: FloatArray) -> FloatArray:
+        """Return the states at each of n samples of a record, shape (n, states): the hidden ones follow the others.
+
+        `recorded`: p_a, p_b, x_p and x_p' at the samples, shape (n, 4). y changes in place.
+        """
+        n = len(currents)
+        states = np.empty((n, len(self.states)))
+        self._code.bench_hidden(
+            *self._at(k, y), ctypes.c_long(n), to_c(currents, (n,)), to_c(recorded, (n, 4)), to_c(states)
+        )
+        return states
+
+    def windows(
+        self, k: FloatArray, states: FloatArray, currents: FloatArray, begins: npt.NDArray[np.int64], length: int
+    ) -> FloatArray:
+        """Return the readings at each of `length` samples of windows, shape (windows, length, 5).
+
+        `states`: at the windows' begins, shape (windows, states); they change in place. `begins`: each window's index
+        into `currents`.
+        """
+        count = len(begins)
+        if count and (begins.min() < 0 or begins.max() + length > len(currents)):
+            raise ValueError("a window reaches beyond the currents")
+        z = np.empty((count, length, len(READINGS)))
+        at = to_c(k, (self.coefficients,)), to_c(states, (count, len(self.states)))
+        where = np.ascontiguousarray(begins, dtype=np.int64)
+        self._code.bench_windows(
+            *at,
+            ctypes.c_long(count),
+            ctypes.c_void_p(where.ctypes.data),
+            ctypes.c_long(length),
+            to_c(currents),
+            to_c(z),
+        )
         return z
 
     def jacobian(self, k: FloatArray, y: FloatArray, current: float) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -116,7 +156,7 @@ class BenchModel:
         return _assembled(self.structure)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return partial(BenchModel, substeps=self.substeps), (self.bench,)
+        return partial(BenchModel, substeps=self.substeps, period=self.period), (self.bench,)
 
     @cached_property
     def _code(self) -> ctypes.CDLL:
@@ -136,6 +176,7 @@ class Structure:
     ideal_cell: bool
     past_currents: int
     substeps: int
+    period: float
 
 
 _TEXTBOOK_STATES = tuple(
@@ -172,7 +213,7 @@ def _assembled(structure: Structure) -> Functions:
     effects = [catalogue.KINDS[label].make() for label in structure.labels]
     made = Assembly(
         Bench.ranges(), effects, ideal_cell=structure.ideal_cell, past_currents=structure.past_currents,
-        substeps=structure.substeps,
+        substeps=structure.substeps, period=structure.period,
     )  # fmt: skip
     return made.functions()
 
@@ -184,7 +225,7 @@ def _sources_digest() -> str:
 
     here = Path(__file__).parent
     files = [*sorted(here.rglob("*.py")), *sorted(here.glob("*.c"))]
-    others = f"{SAMPLE_PERIOD} {Bench.ranges()} casadi {version('casadi')}".encode()
+    others = f"{Bench.ranges()} casadi {version('casadi')}".encode()
     return hashlib.sha256(b"".join([*(file.read_bytes() for file in files), others])).hexdigest()
 
 

@@ -102,7 +102,7 @@ def sensor_signals(channel: str, signal: Symbol, beside: Mapping[str, Symbol] | 
 
 
 BOUND_MAX = 1e9
-"""Largest magnitude, in the SI unit, of a table's bounds and a law's threshold."""
+"""Largest magnitude of a table's bounds and a law's threshold, in SI units, and of a coefficient in typical sizes."""
 
 
 @dataclass(frozen=True)

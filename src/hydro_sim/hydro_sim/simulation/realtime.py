@@ -27,11 +27,11 @@ from hydro_bridge.plant_clock import LockStep, parse_pace
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.safety.plant_interface import PlantInterface
 from hydro_bridge.serial.protocol import LawState
-from hydro_core.process.realtime import PeriodicTimer, disable_timer_slack
 from hydro_core.settings import check, described, quantity
 from hydro_core.signals import SAMPLE_PERIOD, STATE_DTYPE, Command, Flag, FloatArray, flag_names
 from hydro_sim.box.box import Box, law_state
 from hydro_sim.model.plant import Plant
+from hydro_sim.timer import PeriodicTimer, disable_timer_slack
 
 _NOMINAL_CURRENT_COLUMN = (STATE_DTYPE.names or ()).index("nominal_valve_current")
 

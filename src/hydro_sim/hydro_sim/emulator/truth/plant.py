@@ -18,8 +18,6 @@ from hydro_sim.emulator.truth.parameters import SUBSTEP_TIME, SUBSTEPS, compile_
 from hydro_sim.jit import copy_vector, njit
 from hydro_sim.model.sensors import CONDITIONING_DTYPE, Noise, Sensors, condition_readings, reset_conditioning
 
-NOISE_COLUMN_COUNT = 5  # f_h, f_l, p_a, p_b, random force
-
 TRUTH_FIELDS = (
     *PLANT_FIELDS,
     "spool",  # A, of the command that would hold it
@@ -112,7 +110,7 @@ def advance_sample(p, box, state, chain, work, noise, current):
     """Advance by one sample of 1 ms in place at a held valve current [A]: physics, amplifiers, readings.
 
     `p`, `box`, `state`, `chain`: arrays of shape (1,): plant parameters, the box's differentiation, physical state,
-    sensors. `work`: scratch space, shape (3, 8). `noise`: standard normal numbers, shape (`NOISE_COLUMN_COUNT`,).
+    sensors. `work`: scratch space, shape (3, 8). `noise`: standard normal numbers, shape (5,).
     """
     dynamics.hold_command(p[0], state[0], current, noise[4])
     for index in range(SUBSTEPS):

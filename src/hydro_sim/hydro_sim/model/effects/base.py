@@ -6,7 +6,7 @@
     class CoulombFriction(Effect):
         id = "friction_coulomb"
         equations = ("motion",)
-        sentence_template = "Dry friction of {force:.3g} N works against the motion at every speed."
+        sentence_template = "Dry friction of {force:.3g} N works against the motion."
         force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest_reported=0.3, high=5e3))
 
         def dry_level(self, level, velocity):
@@ -21,16 +21,24 @@ a rate (`rates`); discrete ones are updated at the end of an integration step, b
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
+from hydro_core.bench_scales import BenchScales, unit_ratio
 from hydro_sim.model.equations import Symbol
+
+DECLARED_SIZE = BenchScales(force=300.0, pressure=16e6, length=0.08, current=0.05)
+"""Size of the machine for which the effects' fits are declared: the nominal bench's."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FitParameter:
-    """Specification of a fitted parameter: bounds, start values, and the smallest size that is reported."""
+    """Specification of a fitted parameter: bounds, start values, and the smallest size that is reported.
+
+    Declared for a machine of `DECLARED_SIZE`, and taken to the size of the diagnosed one by `resized`.
+    """
 
     name: str
     unit: str
@@ -46,6 +54,15 @@ class FitParameter:
     """For a shape parameter: relative error that the residuals' own discretisation may cause."""
     reported: bool = True
     """Whether it is reported; False for shape parameters that are only fitted."""
+
+    def resized(self, size: BenchScales) -> FitParameter:
+        """Return the specification for a machine of another size: each value by its unit."""
+        ratio = unit_ratio(self.unit, DECLARED_SIZE, size)
+        return replace(
+            self, low=ratio * self.low, high=ratio * self.high, neutral=ratio * self.neutral,
+            start_values=tuple(ratio * one for one in self.start_values),
+            smallest_reported=ratio * self.smallest_reported,
+        )  # fmt: skip
 
     @property
     def span(self) -> float:
@@ -107,6 +124,11 @@ _DISPLAY_UNITS = {
 }  # fmt: skip
 _SENTENCE_FACTORS = {"1/s": 100.0, "Pa s/m3": 1e-12}
 """Factors from SI to % per second and to MPa per ml/s."""
+
+
+def plain(text: str) -> str:
+    """Return a text with numbers of up to seven digits written without an exponent."""
+    return re.sub(r"\d(\.\d+)?e\+0[3-6]", lambda number: f"{float(number[0]):.0f}", text)
 
 
 def display_unit(unit: str) -> tuple[str, float]:
@@ -208,7 +230,7 @@ class Effect:
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         """Return the parameters as they are fitted relative to a bench file; empty: it is no cause of the diagnosis."""
-        fitted = [one.fit for one in self.parameters if one.fit]
+        fitted = [one.fit.resized(bench.size) for one in self.parameters if one.fit]
         return tuple(fitted) if len(fitted) == len(self.parameters) else ()
 
     def sentence(self, values: Mapping[str, float]) -> str:
@@ -219,7 +241,7 @@ class Effect:
         said = self.sentence_template.format(
             effect=self, size=abs(first), more="more" if first > 0.0 else "less", **shown
         )
-        return said[0].upper() + said[1:]
+        return plain(said[0].upper() + said[1:])
 
     # --- terms, on the way from the bench file to the reading -------------------------------------------------------
 

@@ -119,8 +119,9 @@ def check_effects(effects: Sequence[Mapping[str, Any]]) -> None:
     """Raise ValueError in one sentence for an effect that is unknown, lacks a parameter, or is given too often."""
     entries = [(label(effect), *parse_entry(effect)) for effect in effects]
     closures = sum(kind.effect.id == Closure.id for _, kind, _ in entries)
-    if closures > CLOSURES_MAX:
-        raise ValueError(f"{closures} closures are more than the {CLOSURES_MAX} that are simulated at once")
+    for count, most, what in ((closures, CLOSURES_MAX, "closures"), (len(entries), EFFECTS_MAX, "effects")):
+        if count > most:
+            raise ValueError(f"{count} {what} are more than the {most} that are simulated at once")
     for name, kind, values in entries:
         given = dict(zip((one.name for one in kind.parameters), values, strict=True))
         if kind.effect.id == Closure.id and "low" in given and not given["low"] < given["high"]:
@@ -129,7 +130,5 @@ def check_effects(effects: Sequence[Mapping[str, Any]]) -> None:
     for name, kind, _ in entries:
         if kind.effect.single and names.count(name) > 1:
             raise ValueError(f"effect {name} is given twice")
-    if len(entries) > EFFECTS_MAX:
-        raise ValueError(f"{len(entries)} effects are more than the {EFFECTS_MAX} that are simulated at once")
     if total_delay(effects) > DELAY_MAX:
         raise ValueError(f"dead times add up to more than {DELAY_MAX / SAMPLE_PERIOD:g} ms")

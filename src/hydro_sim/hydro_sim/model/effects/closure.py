@@ -31,7 +31,7 @@ class Closure(Effect):
     """Memory element of the law; only classes of laws with one have it."""
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
-        return tuple(one.fit for one in self.parameters if one.fit)
+        return tuple(one.fit.resized(bench.size) for one in self.parameters if one.fit)
 
     def sentence(self, values: Mapping[str, float]) -> str:
         law = self.law
@@ -191,8 +191,6 @@ class HysteresisClosure(Closure):
 
 # --- one class for each law ------------------------------------------------------------------------------------------
 
-_COEFFICIENT_BOUND_RATIO = 1e4
-"""Bound of a coefficient, as a multiple of its typical size."""
 _CLOSURE_BASES = {"motion": MotionClosure, "load": LoadClosure, "sensor": SensorClosure, "actuation": ValveClosure,
            "edges": EdgeClosure, "across": SpoolShiftClosure}  # fmt: skip
 """Bases by the equation, or by `where` at the valve; other equations are those of flows."""
@@ -206,8 +204,8 @@ def closure_class(law: Law | Table) -> type[Closure]:
     size, element = law.typical, law.memory_element
     amplitude = parameter(
         law.unit,
-        -_COEFFICIENT_BOUND_RATIO * size,
-        _COEFFICIENT_BOUND_RATIO * size,
+        -BOUND_MAX * size,
+        BOUND_MAX * size,
         scale=size,
         fit=fit(size, smallest_reported=1e-3 * size),
     )

@@ -34,7 +34,7 @@ class FrictionCoulomb(_Friction):
     """Coulomb friction: a constant force against the motion."""
 
     id = "friction_coulomb"
-    sentence_template = "Dry friction of {force:.3g} N works against the motion at every speed."
+    sentence_template = "Dry friction of {force:.3g} N works against the motion."
     force = parameter("N", 0.0, 1e8, scale=10.0, fit=fit(10.0, smallest_reported=0.3, high=FORCE_MAX))
 
     def dry_level(self, level: Symbol, velocity: Symbol) -> Symbol:
@@ -89,8 +89,9 @@ class FrictionViscousDirectional(_Friction):
 
     def fitted_parameters(self, bench: Any) -> tuple[FitParameter, ...]:
         extending, retracting = super().fitted_parameters(bench)
-        low = -bench.viscous_friction if isfinite(bench.viscous_friction) else -DAMPING_MAX
-        return replace(extending, low=low), replace(retracting, low=low, start_values=(-15.0 if low < -30.0 else 15.0,))
+        low, usual = (-bench.viscous_friction if isfinite(bench.viscous_friction) else extending.low), extending.span
+        start = -0.5 * usual if low < -usual else 0.5 * usual
+        return replace(extending, low=low), replace(retracting, low=low, start_values=(start,))
 
     def opposing_force(self, position: Symbol, velocity: Symbol) -> Symbol:
         return choose(velocity > 0.0, self.coefficient_positive, self.coefficient_negative) * velocity
@@ -103,7 +104,7 @@ class FrictionPresliding(_Friction):
     sentence_template = "Before it slides the piston deflects elastically with {stiffness:.3g} N/m."
     needs = ("friction_coulomb",)
     single = True
-    stiffness = parameter("N/m", 1.0, 1e11, scale=2e5, neutral=1e7,
+    stiffness = parameter("N/m", 1e-9, 1e11, scale=2e5, neutral=1e7,
                           fit=fit(3e4, 3e5, low=3e3, high=3e6, neutral=3e6))  # fmt: skip
     bent = hidden("N", scale=5.0)
 

@@ -88,7 +88,7 @@ class Backlash(_Load):
 
     id = "backlash"
     sentence_template = "The load has {width:.3g} mm of lost motion around the spring's rest position."
-    width = parameter("m", 0.0, 0.1, scale=1e-3, fit=fit(1e-4, 5e-4, 2e-3, smallest_reported=1e-5, high=0.02))
+    width = parameter("m", 0.0, 5.0, scale=1e-3, fit=fit(1e-4, 5e-4, 2e-3, smallest_reported=1e-5, high=0.02))
 
     def load(self, force: Symbol, position: Symbol) -> Symbol:
         n, half = self.at.bench, 0.5 * self.width

@@ -39,7 +39,7 @@ class ValveOffset(_Valve):
 
     id = "valve_offset"
     sentence_template = "The valve's null is shifted: it acts as if {current:.3g} mA were added to the current."
-    current = parameter("A", -0.1, 0.1, scale=5e-4, fit=fit(2e-4, smallest_reported=4e-6, low=-0.02, high=0.02))
+    current = parameter("A", -10.0, 10.0, scale=5e-4, fit=fit(2e-4, smallest_reported=4e-6, low=-0.02, high=0.02))
 
     def command(self, spool: Symbol) -> Symbol:
         return spool + self.current
@@ -90,7 +90,7 @@ class ValveDeadband(_Valve):
     id = "valve_deadband"
     sentence_template = "The valve does not open below {half_width:.3g} mA: its edges overlap."
     acts_at_edges = True
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(1e-4, 5e-4, 2e-3, smallest_reported=5e-6, high=0.02))
+    half_width = parameter("A", 0.0, 10.0, scale=5e-4, fit=fit(1e-4, 5e-4, 2e-3, smallest_reported=5e-6, high=0.02))
 
     def command(self, spool: Symbol) -> Symbol:
         return spool - clip(spool, -self.half_width, self.half_width)
@@ -103,8 +103,8 @@ class ValveDeadbandAsymmetric(ValveDeadband):
     sentence_template = (
         "The valve does not open between -{half_width_negative:.3g} mA and {half_width:.3g} mA: its edges overlap."
     )
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=_OVERLAP)
-    half_width_negative = parameter("A", 0.0, 0.1, scale=5e-4, fit=_OVERLAP)
+    half_width = parameter("A", 0.0, 10.0, scale=5e-4, fit=_OVERLAP)
+    half_width_negative = parameter("A", 0.0, 10.0, scale=5e-4, fit=_OVERLAP)
 
     def command(self, spool: Symbol) -> Symbol:
         return spool - clip(spool, -self.half_width_negative, self.half_width)
@@ -115,8 +115,8 @@ class ValveDeadbandSoft(ValveDeadband):
 
     options = {"form": ("soft",)}
     sentence_template = "The valve hardly opens below {half_width:.3g} mA: its edges overlap and open gradually."
-    half_width = parameter("A", 0.0, 0.1, scale=5e-4, fit=fit(2e-4, 1e-3, smallest_reported=5e-6, high=0.02))
-    softness = parameter("A", 1e-7, 0.1, scale=1e-4, neutral=1e-7,
+    half_width = parameter("A", 0.0, 10.0, scale=5e-4, fit=fit(2e-4, 1e-3, smallest_reported=5e-6, high=0.02))
+    softness = parameter("A", 1e-7, 10.0, scale=1e-4, neutral=1e-7,
                          fit=fit(5e-5, 2e-4, low=5e-6, high=5e-3, neutral=1e-4, reported=False))  # fmt: skip
 
     def command(self, spool: Symbol) -> Symbol:
@@ -171,7 +171,7 @@ class ValveNullLeakage(_Valve):
     )
     all_edges = True
     coefficient = parameter("m3/s/sqrt(Pa)", 0.0, 1e-6, scale=1e-10, fit=fit(3e-10, smallest_reported=2e-12, high=1e-7))
-    width = parameter("A", 1e-6, 0.1, scale=1e-3, neutral=1e-3,
+    width = parameter("A", 1e-6, 10.0, scale=1e-3, neutral=1e-3,
                       fit=fit(2e-4, 1e-3, 4e-3, low=2e-5, high=2e-2, neutral=5e-4, reported=False))  # fmt: skip
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
