@@ -15,8 +15,8 @@ setup(
     zip_safe=False,
     maintainer="hydro engineers",
     maintainer_email="hydro@users.noreply.github.com",
-    description="The ground of all packages: signals, settings, files, console, errors, processes, clocks.",
+    description="The ground of all packages: signals, settings, files, console, errors, processes.",
     license="Apache-2.0",
-    install_requires=["dask", "distributed", "msgspec", "numpy", "pyyaml", "tqdm"],
+    install_requires=["msgspec", "numpy", "pyyaml", "tqdm"],
     extras_require={"test": ["pytest"]},  # by which colcon test knows to call pytest
 )

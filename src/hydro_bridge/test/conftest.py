@@ -19,7 +19,8 @@ from hydro_bridge.serial import protocol
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, CommandFrame, LawState
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.signals import STATE_DTYPE, STATE_FIELDS, Flag, Law, StateArray
-from tests.fuzz_link import altered
+from tests.box_frames import encode_details, encode_law, encode_state
+from tests.frames import altered
 
 
 @pytest.fixture
@@ -98,7 +99,7 @@ class SmallBox:
                     self._take(frame)
                 last = self.commands[-1].sequence if self.commands else 0
                 told = (self.flags, last, self.refused, self.law_state)
-                state = protocol.encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, *told)
+                state = encode_state(self.sequence, 1000 * self.sequence, [0.5] * 14, *told)
                 self._write(altered(state, {0: self.version}))
             self.sequence += 1
             now = time.monotonic()
@@ -121,8 +122,8 @@ class SmallBox:
 
     def _take(self, frame: protocol.Frame) -> None:
         if isinstance(frame, protocol.Hello):
-            details = protocol.encode_details(1, 0, self.details) if self.details else b""
-            law = protocol.encode_law(1, 0, self.law) if self.law else b""
+            details = encode_details(1, 0, self.details) if self.details else b""
+            law = encode_law(1, 0, self.law) if self.law else b""
             hello = altered(protocol.encode_hello(1, 0, self.info), {14: self.version, 15: self.version})
             os.write(self.cable.box, hello + details + law)
         elif isinstance(frame, CommandFrame):

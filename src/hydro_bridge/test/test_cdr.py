@@ -9,8 +9,7 @@ import pytest
 from rclpy.serialization import deserialize_message, serialize_message
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from hydro_bridge.bags.cdr import STATE_TYPE, encode_states, fixed_layout
-from hydro_bridge.bags.types import SCHEMA_FILE, definition
+from hydro_bridge.bags.cdr import SCHEMA_FILE, STATE_TYPE, definition, encode_states, fixed_layout
 from hydro_bridge.ros.messages import CORRECTION_CODEC, LAW_STATE_CODEC, STATE_CODEC
 from hydro_core.signals import STATE_FIELDS
 from tests.schemas import installed_definitions
@@ -18,7 +17,7 @@ from tests.schemas import installed_definitions
 
 def test_states_agree_with_an_independent_codec(make_states):
     states, typestore = make_states(5), get_typestore(Stores.EMPTY)
-    types = get_types_from_msg(definition(STATE_TYPE).text, STATE_TYPE)
+    types = get_types_from_msg(definition(STATE_TYPE)["text"], STATE_TYPE)
     typestore.register({name: fields for name, fields in types.items() if name not in typestore.types})
     for frame_id in ("bench", "", "a", "four", "longer than that"):
         rows = encode_states(states, frame_id)

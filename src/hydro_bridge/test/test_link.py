@@ -13,15 +13,17 @@ from itertools import pairwise
 
 import pytest
 
-from hydro_bridge.link.link import NO_COMPENSATED_LAW_MESSAGE, Link, LinkState
+from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.safety.guard import CommandGuard
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings
-from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState, encode_details
+from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, LawState
 from hydro_core.settings import SettingsError
 from hydro_core.signals import Command, CorrectionStatus, Flag, Law
+from tests.box_frames import encode_details
 from tests.checks import wait
 
 DETAILS = BoxDetails(epoch=5, bench_digest="0123456789ab", load_force_limit=700.0, force_range=900.0)
+PAPER_LAW_ALONE = "only the paper's force law can be run: the box offers no other"
 
 
 class Bench:
@@ -67,7 +69,7 @@ def test_each_state_comes_once_in_order_with_ascending_stamps(bench):
     assert list(sequences) == list(range(sequences[0], sequences[0] + len(sequences)))
     assert all(a < b for a, b in pairwise(stamps))
     assert abs(stamps[-1] - time.time_ns()) < 1e9
-    assert it.log == [f"connected to small box on {it.cable.path}; disarmed", NO_COMPENSATED_LAW_MESSAGE]
+    assert it.log == [f"connected to small box on {it.cable.path}; disarmed", PAPER_LAW_ALONE]
 
 
 def test_a_correction_goes_down_at_once_and_its_turnaround_is_measured(bench):
@@ -166,21 +168,6 @@ def test_neither_silence_nor_bytes_without_frames_keep_a_line_alive_and_nothing_
     assert not it.link.guard.armed and it.said("no byte came for 0.3 s")
 
 
-def test_another_device_at_the_port_is_told_once(bench):
-    it = bench(connects=False, boxed=False)
-
-    def told() -> bool:
-        with suppress(OSError):
-            os.write(it.cable.box, b"$GPGGA,123519,4807.038,N,01131.000,E,1,08,0.9,545.4,M,46.9,M,,*47\r\n")
-        return bool(it.said("bytes came and no frame in them"))
-
-    wait(told)
-    assert it.link.arm(True).startswith("there is no box")
-    it.link.stop()
-    it.thread.join(30.0)
-    assert it.said("bytes came") == 1, "not at each attempt"
-
-
 def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):
     it = bench(sequence=100_000, details=DETAILS)
     assert it.link.arm(True) == ""
@@ -227,7 +214,7 @@ def test_a_box_is_followed_once_its_details_came_and_its_limits_narrow_the_guard
 def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_law(bench, law):
     """Elsewhere its changes would be added to the paper's gains: the safe command goes out instead."""
     it = bench(details=replace(DETAILS, laws=3 if law else 1), law=law)
-    assert it.said(NO_COMPENSATED_LAW_MESSAGE) == (law is None) and it.states[-1][2] == it.box.law_state
+    assert it.said(PAPER_LAW_ALONE) == (law is None) and it.states[-1][2] == it.box.law_state
     if law:
         assert (it.link.law.base_kp, it.link.law.coefficient_max) == (law.base_kp, law.coefficient_max)
     wanted = Command(
@@ -238,27 +225,6 @@ def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_
     sent = it.link._sequence  # earlier commands may still lie in the line
     wait(lambda: it.box.commands[-1].sequence > sent + 1)
     assert it.box.commands[-1].command == (wanted if law else Command())
-
-
-def test_what_the_box_sends_after_the_last_command_is_passed_on_no_more(bench, monkeypatch):
-    it, may_send = bench(), threading.Event()
-    send = it.link._send
-
-    def send_when_told(corrects: int | None = None) -> None:
-        if threading.current_thread() is ending:  # outside of the lock: the sample that was under way goes through
-            assert may_send.wait(30.0)
-        send(corrects)
-
-    monkeypatch.setattr(it.link, "_send", send_when_told)
-    ending = threading.Thread(target=it.link.stop)
-    ending.start()
-    wait(lambda: it.link._ending)
-    passed_on, frames = len(it.states), it.link.counts.frames
-    wait(lambda: it.link.counts.frames > frames + 20)
-    assert len(it.states) <= passed_on + 1, "but for the one that was under way"
-    may_send.set()
-    ending.join(30.0)
-    wait(lambda: not it.box.commands[-1].command.arm)
 
 
 def test_a_line_too_slow_for_a_sample_each_millisecond_is_refused():

@@ -81,16 +81,6 @@ def test_the_plant_is_never_a_window_ahead_of_a_peer_and_a_new_one_gets_the_samp
     wait(lambda: window in it.again)
 
 
-def test_a_box_that_was_on_before_goes_to_the_end_of_the_step_that_a_commander_answers() -> None:
-    lock_step = LockStep(LockStepSettings(), lambda _: None)
-    lock_step.on_answer("one", None, COMMANDER_WINDOW)
-    for sequence, waits in ((25605, False), (25610, True)):
-        lock_step.begin_sample(sequence, lambda: None)
-        assert lock_step.pending is waits
-    lock_step.on_answer("one", 25610, COMMANDER_WINDOW)
-    assert not lock_step.pending
-
-
 @pytest.mark.parametrize("after", [27118, 25612, 3])
 def test_after_samples_that_are_missing_a_commander_is_waited_for_from_the_next_step_on(after: int) -> None:
     """As a line that was unplugged, or has lost the end of a step, or a box that was switched on again leaves them."""
@@ -113,15 +103,6 @@ def test_the_first_sample_waits_until_all_that_are_to_be_met_are_ready_but_not_f
     it = plant("filter", meet_max=0.3)
     wait(lambda: it.samples)
     assert it.said == ["filter did not come: beginning without"]
-
-
-def test_a_correction_is_the_answer_of_the_filter(plant) -> None:
-    it = plant(filter=FILTER_WINDOW)
-    for sequence in range(50):
-        assert it.samples[-1:] <= [sequence]
-        wait(lambda sequence=sequence: it.published and it.published[-1] == sequence)
-        it.lock_step.on_correction(sequence)
-    assert it.stands_at(50)
 
 
 def test_an_answer_counts_once_the_commands_that_it_names_have_arrived(plant) -> None:

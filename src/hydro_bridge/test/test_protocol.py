@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from math import inf
+from random import Random
 
 import pytest
 from hypothesis import given
@@ -13,10 +15,11 @@ from hydro_bridge.serial import protocol
 from hydro_bridge.serial.protocol import MalformedError, WrongVersionError, decode
 from hydro_bridge.serial.stream import Decoder, SequenceTracker
 from hydro_core.signals import Command
-from tests.fuzz_link import altered, sealed
+from tests.box_frames import encode_details, encode_law, encode_state
+from tests.frames import DAMAGES, altered, sealed
 
 COMMAND = protocol.encode_command(1, 2, Command())
-STATE = protocol.encode_state(1, 2, [0.0] * 14, 3, 4)
+STATE = encode_state(1, 2, [0.0] * 14, 3, 4)
 
 
 def inside(wire: bytes) -> bytes:
@@ -25,7 +28,7 @@ def inside(wire: bytes) -> bytes:
 
 
 def wire(sequence: int) -> bytes:
-    return protocol.encode_state(sequence, 1000 * sequence, [float(sequence)] * 14, 0, 0)
+    return encode_state(sequence, 1000 * sequence, [float(sequence)] * 14, 0, 0)
 
 
 def test_a_greeting_is_read_whatever_version_and_form_of_the_integral_it_tells():
@@ -38,7 +41,7 @@ def test_a_greeting_is_read_whatever_version_and_form_of_the_integral_it_tells()
 
 
 def test_beyond_float32_becomes_infinity():
-    assert decode(inside(protocol.encode_state(1, 2, [1e300, -1e300, *[0.0] * 12], 0, 0))).values[:2] == (inf, -inf)
+    assert decode(inside(encode_state(1, 2, [1e300, -1e300, *[0.0] * 12], 0, 0))).values[:2] == (inf, -inf)
     assert decode(inside(protocol.encode_command(1, 2, Command(delta_kp=1e300)))).command.delta_kp == inf
 
 
@@ -54,7 +57,7 @@ def test_decoding_hostile_bytes_with_a_valid_check_sum_raises_malformed_only(bod
     ("unreadable", "kind", "said"),
     [
         (
-            altered(protocol.encode_details(1, 2, protocol.BoxDetails()), {0: 1}),
+            altered(encode_details(1, 2, protocol.BoxDetails()), {0: 1}),
             WrongVersionError,
             "of version 1, here",
         ),
@@ -63,7 +66,7 @@ def test_decoding_hostile_bytes_with_a_valid_check_sum_raises_malformed_only(bod
         (altered(COMMAND, {34: 9}), MalformedError, "waveform 9"),
         (altered(COMMAND, {54: 2}), MalformedError, "law 2"),
         (altered(STATE, {86: 2}), MalformedError, "law 2"),
-        (altered(protocol.encode_law(1, 2, protocol.BoxLaw()), {14: 2}), MalformedError, "law 2"),
+        (altered(encode_law(1, 2, protocol.BoxLaw()), {14: 2}), MalformedError, "law 2"),
         (altered(COMMAND, {}, b"x"), MalformedError, "bytes in a COMMAND"),
     ],
     ids=range(8),
@@ -71,6 +74,28 @@ def test_decoding_hostile_bytes_with_a_valid_check_sum_raises_malformed_only(bod
 def test_what_cannot_be_read_is_told_by_its_kind(unreadable, kind, said):
     with pytest.raises(kind, match=said):
         decode(inside(unreadable))
+
+
+WHOLE: tuple[Callable[[bytes, Random], bytes], ...] = (
+    lambda wire, random: wire,
+    lambda wire, random: 2 * wire,
+    lambda wire, random: random.randbytes(random.choice((1, 20, 5 * protocol.ENCODED_SIZE_MAX))) + wire,
+)
+
+
+@given(st.lists(st.sampled_from((*WHOLE, *DAMAGES)), max_size=60), st.integers(0, 1 << 32))
+def test_of_a_hostile_stream_whole_frames_are_delivered_and_none_that_was_not_sent(damages, seed):
+    random, decoder, delivered = Random(seed), Decoder(), set()
+    stream = b"".join(damage(wire(sequence), random) for sequence, damage in enumerate(damages)) + b"\0"
+    while stream:  # in pieces, as a port delivers it
+        size = random.choice((1, 2, 16, 85, 400))
+        for frame in decoder.feed(stream[:size]):
+            assert frame == decode(inside(wire(frame.sequence)))
+            delivered.add(frame.sequence)
+        assert len(decoder._pending) <= protocol.ENCODED_SIZE_MAX
+        stream = stream[size:]
+    assert delivered >= {sequence for sequence, damage in enumerate(damages) if damage in WHOLE}
+    assert max(delivered, default=-1) < len(damages)
 
 
 def test_a_stream_without_delimiter_is_counted_once_and_not_kept():

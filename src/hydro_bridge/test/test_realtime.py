@@ -11,7 +11,7 @@ import time
 
 import pytest
 
-from hydro_core.process.realtime import CPU_TIME_HARD_LIMIT, CPU_TIME_SOFT_LIMIT, PeriodicTimer
+from hydro_core.process.realtime import CPU_TIME_HARD_LIMIT, CPU_TIME_SOFT_LIMIT
 from tests.checks import ran
 
 pytest.importorskip("rclpy")
@@ -72,18 +72,3 @@ def test_a_node_whose_callback_spins_is_closed_and_ends_with_a_sentence() -> Non
 def test_a_compiled_loop_that_spins_is_killed() -> None:
     process, seconds = run(COMPILED)
     assert process.returncode == -signal.SIGKILL and seconds < 10 * CPU_TIME_HARD_LIMIT
-
-
-def test_time_away_is_left_out_and_a_short_delay_is_caught_up_on() -> None:
-    timer = PeriodicTimer(1e-3, catch_up_max=2.0)  # longer than a busy machine keeps a thread waiting
-    start = timer.deadline_ns
-    time.sleep(0.02)
-    for _ in range(30):
-        timer.wait()
-    assert timer.deadline_ns == start + 30_000_000 and timer.skipped == 0.0 and timer.late >= 15
-    timer = PeriodicTimer(1e-3, catch_up_max=0.05)
-    time.sleep(0.1)
-    before = time.monotonic_ns()
-    timer.wait()
-    assert timer.skipped >= 0.09
-    assert before - 1_000_000 <= timer.deadline_ns <= time.monotonic_ns() + 1_000_000

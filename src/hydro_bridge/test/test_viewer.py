@@ -10,15 +10,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rcl_interfaces.msg import Log
 
 from hydro_bridge.bags.recording import BagWriter, RecordingError
+from hydro_bridge.pages.marks import MarkCollector
 from hydro_bridge.pages.runs import list_runs, refresh_index, write_index
-from hydro_bridge.pages.series import BIN_WIDTH, STATE_COLUMNS, LiveSeries, RecordedSeries
+from hydro_bridge.pages.series import BIN_WIDTH, SERIES_COLUMNS, LiveSeries, RecordedSeries
 from hydro_bridge.pages.view import RecordingPage, main, render_page
 from hydro_bridge.ros.topics import RECORDED_TOPICS
 from hydro_core.signals import Flag, StateArray
+from hydro_msgs.msg import Authority, TrainingStatus
 from tests import browser
 from tests.checks import status_of
 
@@ -66,7 +70,7 @@ def test_flags_and_windows_of_a_diagnosis_beside_it_are_marked_on_a_page_that_lo
     told = ["armed", "motion, for 0.50 s: friction", "tripped: force limit"]
     assert [mark.text for mark in found.marks] == told
     assert [mark.time for mark in found.marks] == pytest.approx([1.0, 2.5, 3.0], abs=1e-3)
-    force = found.values[0][:, [column.name for column in STATE_COLUMNS].index("force")]
+    force = found.values[0][:, [column.name for column in SERIES_COLUMNS[0]].index("force")]
     assert force[:, 1].max() == pytest.approx(states["load_force"].max(), rel=1e-6)
     assert force[:, 0].min() == pytest.approx(states["load_force"].min(), rel=1e-6)
     assert found.begin.startswith("2023-11-14 22:13:20") and not found.notes
@@ -74,7 +78,30 @@ def test_flags_and_windows_of_a_diagnosis_beside_it_are_marked_on_a_page_that_lo
     page = (bag.parent / "run.html").read_text()
     assert all(text in page for text in told)
     assert "sha256:&lt;1&gt;" in page and "<1>" not in page
-    assert 'src="http' not in page and 'href="http' not in page and "default-src &#39;none&#39;" in page
+    assert 'src="http' not in page and 'href="http' not in page and "default-src 'none'" in page
+
+
+def test_messages_of_nodes_are_marked_and_a_part_begins_with_holder_and_weights_of_then() -> None:
+    found = MarkCollector()
+    found.add_message("/hydro/authority", 1.0, Authority(holder="trainer"))
+    found.add_steps(np.array([1.0, 1.1, 3.0, 3.5]), np.array([5, 5, 6, 7]))
+    for n, (phase, episode, alive) in enumerate(((1, 1, True), (2, 1, True), (1, 2, True), (1, 2, False))):
+        done = TrainingStatus(phase=phase, episode=episode, force_rmse=8.0, episode_return=-3.0, learner_alive=alive)
+        found.add_message("/hydro/training", 4.0 + n, done)
+    for n, said in enumerate(("no", "K_p 60", "no")):
+        values = [KeyValue(key="override", value=said), KeyValue(key="rollbacks", value="0")]
+        status = [DiagnosticStatus(name="trainer", values=values), DiagnosticStatus(name="sim", values=values)]
+        found.add_message("/diagnostics", 8.0 + n, DiagnosticArray(status=status))
+    for level, name in ((20, "trainer"), (30, "trainer"), (20, "sim.calls")):
+        found.add_message("/rosout", 11.0, Log(level=level, name=name, msg="arm"))
+    assert [(mark.time, mark.kind, mark.text) for mark in found.crop(2.0, 10.0)] == [
+        (0.0, "authority", "commanded by trainer"), (0.0, "weights", "weights 000000000005, the first to act"),
+        (1.0, "weights", "weights 000000000006"), (3.0, "examination", "evaluating"),
+        (4.0, "examination", "examination ends, training"),
+        (4.0, "episode", "episode 2; the last one: RMSE 8.0 N, return -3"), (5.0, "learner", "the learner is down"),
+        (7.0, "override", "gains by hand: K_p 60"), (8.0, "override", "gains given back"),
+        (9.0, "log", "trainer: arm"), (9.0, "call", "sim was asked: arm"),
+    ]  # fmt: skip
 
 
 def test_a_clock_that_was_set_halves_no_page(tmp_path: Path, states: StateArray) -> None:

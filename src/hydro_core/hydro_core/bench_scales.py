@@ -43,12 +43,26 @@ class BenchScales:
         return cls.of_bench(bench) if bench and complete else None
 
 
+_EXPONENTS: Mapping[str, tuple[float, float, float, float]] = {
+    "N": (1, 0, 0, 0), "N/s": (1, 0, 0, 0), "Pa": (0, 1, 0, 0), "m": (0, 0, 1, 0), "m/s": (0, 0, 1, 0),
+    "A": (0, 0, 0, 1), "A/s": (0, 0, 0, 1), "N/m": (1, 0, -1, 0), "N s/m": (1, 0, -1, 0), "kg": (1, 0, -1, 0),
+    "N/m3": (1, 0, -3, 0), "m3/Pa": (1, -2, 1, 0), "m3/s/Pa": (1, -2, 1, 0), "m3/s/sqrt(Pa)": (1, -1.5, 1, 0),
+    "Pa s/m3": (-1, 2, -1, 0),
+}  # fmt: skip
+"""Exponents of force, pressure, length and current by unit; areas are forces over pressures."""
+
+
+def unit_ratio(unit: str, before: BenchScales, after: BenchScales) -> float:
+    """Return the ratio of values of a unit on a bench of size `after` to those on a similar one of size `before`."""
+    force, pressure, length, current = _EXPONENTS.get(unit, (0, 0, 0, 0))
+    return float(
+        (after.force / before.force) ** force * (after.pressure / before.pressure) ** pressure
+        * (after.length / before.length) ** length * (after.current / before.current) ** current
+    )  # fmt: skip
+
+
 def rescale(settings: T, before: BenchScales, after: BenchScales) -> T:
     """Return settings scaled from a bench of size `before` to a similar one of size `after`, each value by its unit."""
-    force, length = after.force / before.force, after.length / before.length
-    current, pressure = after.current / before.current, after.pressure / before.pressure
-    ratios = {"N": force, "N/s": force, "N/m": force / length, "m": length, "m/s": length}
-    ratios |= {"Pa": pressure, "A": current, "A/s": current}
     changed: dict[str, Any] = {}
     for name, setting in describe(type(settings)).items():
         value = getattr(settings, name)
@@ -56,6 +70,6 @@ def rescale(settings: T, before: BenchScales, after: BenchScales) -> T:
             changed[name] = after
         elif is_dataclass(value):
             changed[name] = rescale(value, before, after)
-        elif setting.unit in ratios and value is not None:
-            changed[name] = value * ratios[setting.unit]
+        elif setting.unit in _EXPONENTS and value is not None:
+            changed[name] = value * unit_ratio(setting.unit, before, after)
     return replace(settings, **changed)  # type: ignore[type-var]

@@ -189,15 +189,14 @@ def from_mapping(cls: type[T], data: object, where: str) -> T:
     values: dict[str, Any] = {}
     for key, value in data.items():
         setting, place = known[key], f"{where}.{key}"
-        kind, nested = setting.kind, dataclasses.is_dataclass(setting.kind)
-        if not nested:
-            values[key] = convert(setting, value, place)
-        elif typing.get_origin(setting.hint) is tuple:
+        nested = dataclasses.is_dataclass(setting.kind)
+        if nested and typing.get_origin(setting.hint) is tuple:
             items = value if isinstance(value, list) else [] if value is None else [value]
-            values[key] = tuple(from_mapping(kind, item, place) for item in items)
+            values[key] = tuple(from_mapping(setting.kind, item, place) for item in items)
+        elif nested and value is not None:
+            values[key] = from_mapping(setting.kind, value, place)
         else:
-            absent = value is None and type(None) in typing.get_args(setting.hint)
-            values[key] = None if absent else from_mapping(kind, value, place)
+            values[key] = convert(setting, value, place)
     return cls(**values)
 
 

@@ -87,6 +87,10 @@ class Waveform(IntEnum):
     SMOOTH_STEP = 3
 
 
+FADE_TIME = 0.3
+"""Duration of the cross-fade from one reference to the next, s."""
+
+
 class CorrectionStatus(IntEnum):
     """Decisions of the contraction filter on a sample, in `Correction.status`."""
 

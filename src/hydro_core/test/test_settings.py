@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 import numpy as np
 import pytest
 
-from hydro_core.cli.console import command, refuse_on_resume
+from hydro_core.cli.console import command
 from hydro_core.errors import UserError, writable_file, writable_folder
 from hydro_core.files.atomic import write_atomic
 from hydro_core.files.tensors import InvalidTensorError, check_finite
@@ -72,17 +72,6 @@ def test_options_have_type_default_and_help_of_their_settings():
         "rate": 0.5, "count": 3, "on": True, "form": "soft",
     }  # fmt: skip
     assert "How fast [1/s, -1 to 1]" in " ".join(parser.format_help().split())
-
-
-def test_options_that_are_fixed_when_a_run_begins_are_refused_on_resume():
-    parser = argparse.ArgumentParser()
-    for name, how in {
-        "--seed": {"type": int, "default": 0}, "--from": {"dest": "start"}, "--episodes": {"type": int, "default": 160},
-    }.items():  # fmt: skip
-        parser.add_argument(name, **how)
-    refuse_on_resume(parser, ["--episodes", "7"], ("seed", "start"))
-    with pytest.raises(UserError, match=r"the start: leave out --seed and --from$"):
-        refuse_on_resume(parser, ["--seed", "0", "--from", "runs/b", "--episodes", "7"], ("seed", "start"))
 
 
 def test_a_file_that_the_system_refuses_is_one_sentence_and_a_reader_that_has_seen_enough_none(

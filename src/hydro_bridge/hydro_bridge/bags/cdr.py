@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Vectorised conversion between serialized messages (CDR) and arrays.
+"""Definitions of the graph's messages, and the vectorised conversion between serialized messages (CDR) and arrays.
 
 A message of numbers only, with at most a leading header, has a fixed byte layout once the length of `header.frame_id`
 is known. A thousand of them are therefore one numpy view, not a thousand Python objects::
@@ -12,19 +12,22 @@ Offsets are counted from the end of the first four bytes.
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 from rosbags.typesys import get_types_from_msg
 
-from hydro_bridge.bags.types import definition
 from hydro_core.signals import StateArray
 
 STATE_TOPIC, STATE_TYPE = "/hydro/state", "hydro_msgs/msg/BenchState"
 ByteRows = npt.NDArray[np.uint8]
 """Serialized messages of equal length, shape (n, bytes)."""
+SCHEMA_FILE = Path(__file__).with_name("schemas.json")
+"""Definitions by type; `python -m tests.schemas` renews them from the installed messages."""
 
 _NUMBER_FORMATS = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
@@ -35,6 +38,13 @@ _FRAME_ID_OFFSET = 16  # of its characters, the first four bytes included
 
 class NotFixedError(ValueError):
     """The type has strings, sequences or nested types beyond a header, so it has no fixed table layout."""
+
+
+@cache
+def definition(type_name: str) -> dict[str, str]:
+    """Return `text` (ros2msg) and `type_hash` (RIHS01) of `package/msg/Type`; raises KeyError for one not recorded."""
+    known: dict[str, str] = json.loads(SCHEMA_FILE.read_text(encoding="utf-8"))[type_name]
+    return known
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,9 +62,10 @@ class FixedLayout:
 
     def wire(self, frame_id_size: int) -> np.dtype[np.void]:
         """Record type of the serialized message; `frame_id_size` includes the NUL."""
-        head = [("sec", "<i4", 4), ("nanosec", "<u4", 8)] if self.has_header else []
-        names, formats, offsets = map(list, zip(*head, strict=True)) if head else ([], [], [])
-        place = _FRAME_ID_OFFSET - 4 + frame_id_size if self.has_header else 0
+        names, formats, offsets, place = list[str](), list[str](), list[int](), 0
+        if self.has_header:
+            names, formats, offsets = ["sec", "nanosec"], ["<i4", "<u4"], [4, 8]
+            place = _FRAME_ID_OFFSET - 4 + frame_id_size
         for name, code in self.fields:
             size = np.dtype(code).itemsize
             place = -(-place // size) * size
@@ -93,7 +104,7 @@ def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:
 
     Raises NotFixedError: the type is not numbers only with at most a leading header.
     """
-    _, members = get_types_from_msg(text or definition(type_name).text, type_name)[type_name]
+    _, members = get_types_from_msg(text or definition(type_name)["text"], type_name)[type_name]
     has_header = bool(members) and members[0][0] == "header" and members[0][1][1] == "std_msgs/msg/Header"
     fields = []
     for name, (_, kind) in members[has_header:]:

@@ -2,8 +2,7 @@
 """Repair of a recording whose recorder was killed, or that is damaged: `recorder --repair FOLDER`.
 
 What is readable is copied into a new recording, with the definitions, channels, times, metadata and attachments of its
-writer. The copy is read back and counted before it replaces the files, which move to a sub-folder: a repair removes
-nothing.
+writer. The copy replaces the files, which move to a sub-folder: a repair removes nothing.
 """
 
 from __future__ import annotations
@@ -14,19 +13,16 @@ from contextlib import suppress
 from itertools import count
 from pathlib import Path
 
-from hydro_bridge.bags.storage import Bag
-from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.bags import RecordingError
+from hydro_bridge.bags.recording import Bag
 from hydro_bridge.bags.writer import BagWriter
-
-BACKUP_FOLDER = "before_repair"
-"""Sub-folder that keeps the original files."""
 
 
 def repair(folder: Path | str) -> tuple[int, list[str]]:
     """Repair a recording in place; return the number of messages kept, and sentences on what is not and on the backup.
 
     Raises RecordingError: the folder is no recording, or undamaged; a process has its files open, no message can be
-    read, or there is no room. No data is removed then.
+    read, or there is no room. Nothing is changed then.
     """
     folder = Path(folder).resolve()
     if folder.is_file():
@@ -38,17 +34,18 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
             if any(descriptor.samefile(path) for path in files):
                 raise RecordingError(f"{folder} is open in process {descriptor.parts[2]}: end that first")
     try:
-        copied = _copy(bag, scratch / folder.name)
+        with BagWriter(scratch / folder.name) as writer:
+            copied = _copy(bag, writer)
         if not bag.notes and (folder / "metadata.yaml").exists():
             raise RecordingError(f"{folder} is whole: there is nothing to repair")
         if not copied:
             raise RecordingError(f"{folder}: no message can be read: nothing was changed")
-        names = (f"{BACKUP_FOLDER}_{n}" if n else BACKUP_FOLDER for n in count())
+        names = (f"before_repair_{n}" if n else "before_repair" for n in count())
         backup = next(path for name in names if not (path := folder / name).exists())
         backup.mkdir()
         for path in files:
             os.replace(path, backup / path.name)
-        for path in (scratch / folder.name).iterdir():
+        for path in writer.folder.iterdir():
             os.replace(path, folder / path.name)
     except OSError as error:
         raise RecordingError(f"{folder} cannot be repaired: {error.strerror}: nothing was removed") from None
@@ -57,21 +54,18 @@ def repair(folder: Path | str) -> tuple[int, list[str]]:
     return copied, [*bag.notes, f"the files as they were are in {backup}: remove them once you have seen the new ones"]
 
 
-def _copy(bag: Bag, folder: Path) -> int:
-    """Copy what is readable of a recording into a new one, and return its number of messages, counted in the copy."""
+def _copy(bag: Bag, writer: BagWriter) -> int:
+    """Copy what is readable of a recording into a new one, and return its number of messages."""
     copied = 0
-    with BagWriter(folder) as writer:
-        for piece in bag.pieces():
-            writer.add_channel(piece.channel, piece.schema)
-            numbers = zip(piece.heads["publish_time"].tolist(), piece.heads["sequence"].tolist(), strict=True)
-            for (log_time, data), (publish_time, sequence) in zip(piece.serialized(), numbers, strict=True):
-                writer.write(piece.topic, data, log_time, publish_time, sequence)
-            copied += len(piece.starts)
-        for name, data in bag.attachments.items():
-            writer.attach(name, data)
-        for name, record in bag.metadata.items():
-            if name != "rosbag2":  # of the file as it was
-                writer.add_metadata(name, record)
-    if sum(len(piece.starts) for piece in Bag(folder).pieces()) != copied:
-        raise RecordingError(f"{bag.path}: not all that was read came back from the new file: nothing was changed")
+    for piece in bag.pieces():
+        writer.add_channel(piece.channel, piece.schema)
+        numbers = zip(piece.heads["publish_time"].tolist(), piece.heads["sequence"].tolist(), strict=True)
+        for (log_time, data), (publish_time, sequence) in zip(piece.serialized(), numbers, strict=True):
+            writer.write(piece.topic, data, log_time, publish_time, sequence)
+        copied += len(piece.starts)
+    for name, data in bag.attachments.items():
+        writer.attach(name, data)
+    for name, record in bag.metadata.items():
+        if name != "rosbag2":  # of the file as it was
+            writer.add_metadata(name, record)
     return copied

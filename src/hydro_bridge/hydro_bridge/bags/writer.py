@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import os
 import subprocess
+from collections import Counter
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
-from dataclasses import dataclass
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -19,35 +20,9 @@ from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
-from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE, encode_states
-from hydro_bridge.bags.types import RecordingError, definition
+from hydro_bridge.bags import RecordingError
+from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE, definition, encode_states
 from hydro_core.signals import StateArray
-
-
-def offered_qos(depth: int = 10, *, reliable: bool = True, latched: bool = False) -> dict[str, object]:
-    """Return the quality of service of a topic that keeps the last `depth` messages, as rosbag2 writes it."""
-    forever = {"sec": 9223372036, "nsec": 854775807}
-    return {
-        "history": "keep_last",
-        "depth": depth,
-        "reliability": "reliable" if reliable else "best_effort",
-        "durability": "transient_local" if latched else "volatile",
-        "deadline": forever,
-        "lifespan": forever.copy(),
-        "liveliness": "automatic",
-        "liveliness_lease_duration": forever.copy(),
-        "avoid_ros_namespace_conventions": False,
-    }
-
-
-@dataclass
-class _Topic:
-    """A channel of the file, its type, and the number of its messages."""
-
-    channel: Channel
-    schema: Schema
-    number: int
-    count: int = 0
 
 
 class BagWriter(AbstractContextManager["BagWriter"]):
@@ -74,8 +49,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             raise RecordingError(f"{self.folder} cannot be made: {error.strerror}") from None
         self.path = self.folder / f"{self.folder.name}_0.mcap"
         self._custom: dict[str, str] = {}
-        self._topics: dict[str, _Topic] = {}
-        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, Channel] = {}
+        self._schemas: dict[str, Schema] = {}
+        self._counts = Counter[str]()
         self._span = (2**63 - 1, 0)
         self._file = self.path.open("wb")
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
@@ -97,45 +73,55 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         if name == "hydro":
             self._custom |= record
 
-    def add_topic(self, topic: str, type_name: str, qos: Mapping[str, object] | None = None) -> None:
-        """Register a topic whose type has a `definition`, once, before its first message."""
-        known = definition(type_name)
-        profiles = yaml.safe_dump([dict(qos or offered_qos())], sort_keys=False)
-        metadata = {"offered_qos_profiles": profiles, "topic_type_hash": known.type_hash}
+    def add_topic(
+        self, topic: str, type_name: str, *, depth: int = 10, reliable: bool = True, latched: bool = False
+    ) -> None:
+        """Register a topic whose type has a `definition` and that keeps `depth` messages, before its first message."""
+        known, forever = definition(type_name), {"sec": 9223372036, "nsec": 854775807}
+        profile = {
+            "history": "keep_last",
+            "depth": depth,
+            "reliability": "reliable" if reliable else "best_effort",
+            "durability": "transient_local" if latched else "volatile",
+            "deadline": forever,
+            "lifespan": forever.copy(),
+            "liveliness": "automatic",
+            "liveliness_lease_duration": forever.copy(),
+            "avoid_ros_namespace_conventions": False,
+        }
+        profiles = yaml.safe_dump([profile], sort_keys=False)
+        metadata = {"offered_qos_profiles": profiles, "topic_type_hash": known["type_hash"]}
         self.add_channel(
             Channel(id=0, topic=topic, message_encoding="cdr", schema_id=0, metadata=metadata),
-            Schema(id=0, name=type_name, encoding="ros2msg", data=known.text.encode()),
+            Schema(id=0, name=type_name, encoding="ros2msg", data=known["text"].encode()),
         )
 
     def add_channel(self, channel: Channel, schema: Schema) -> None:
         """Register a channel of another recording, if its topic has none; raises RecordingError: of another type."""
-        if channel.topic in self._topics:
-            if self._topics[channel.topic].schema.name != schema.name:
-                raise RecordingError(f"{channel.topic} has messages of two types: move their files apart")
+        topic, name = channel.topic, schema.name
+        if topic in self._channels:
+            if self._schemas[topic].name != name:
+                raise RecordingError(f"{topic} has messages of two types: move their files apart")
             return
-        if schema.name not in self._schemas:
-            self._schemas[schema.name] = self._writer.register_schema(schema.name, schema.encoding, schema.data)
-        number = self._writer.register_channel(
-            channel.topic, channel.message_encoding, self._schemas[schema.name], channel.metadata
-        )
-        self._topics[channel.topic] = _Topic(channel, schema, number)
+        known = next((one.id for one in self._schemas.values() if one.name == name), None)
+        number = self._writer.register_schema(name, schema.encoding, schema.data) if known is None else known
+        place = self._writer.register_channel(topic, channel.message_encoding, number, channel.metadata)
+        self._schemas[topic], self._channels[topic] = replace(schema, id=number), replace(channel, id=place)
 
     def write(
         self, topic: str, data: bytes, time_ns: int, publish_time_ns: int | None = None, sequence: int | None = None
     ) -> None:
         """Add one serialized message at log time `time_ns`; by default published then, and numbered by its topic."""
-        known = self._topics[topic]
         published = time_ns if publish_time_ns is None else publish_time_ns
-        self._writer.add_message(
-            known.number, time_ns, data, published, known.count & 0xFFFFFFFF if sequence is None else sequence
-        )
-        known.count += 1
+        number = self._counts[topic] & 0xFFFFFFFF if sequence is None else sequence
+        self._writer.add_message(self._channels[topic].id, time_ns, data, published, number)
+        self._counts[topic] += 1
         self._span = (min(self._span[0], time_ns), max(self._span[1], time_ns))
 
     def write_states(self, states: StateArray) -> None:
         """Add `STATE_DTYPE` records as BenchState messages, logged at their own times."""
-        if STATE_TOPIC not in self._topics:
-            self.add_topic(STATE_TOPIC, STATE_TYPE, offered_qos(50, reliable=False))
+        if STATE_TOPIC not in self._channels:
+            self.add_topic(STATE_TOPIC, STATE_TYPE, depth=50, reliable=False)
         rows = encode_states(states)
         size, stream = rows.shape[1], rows.tobytes()
         for row, time_ns in enumerate(np.rint(states["time"] * 1e9).astype(np.int64).tolist()):
@@ -166,28 +152,25 @@ class BagWriter(AbstractContextManager["BagWriter"]):
 
     def _information(self, custom: Mapping[str, str]) -> dict[str, object]:
         """Return the content of metadata.yaml with all keys of version 9: rosbag2 throws on a missing one."""
-        count = sum(topic.count for topic in self._topics.values())
-        start, end = self._span if count else (0, 0)
+        start, end = self._span if self._counts else (0, 0)
         topics = [
             {
                 "topic_metadata": {
-                    "name": name,
-                    "type": topic.schema.name,
-                    "serialization_format": topic.channel.message_encoding,
-                    "offered_qos_profiles": dump_qos_v9(
-                        parse_qos(topic.channel.metadata.get("offered_qos_profiles", ""))
-                    ),
-                    "type_description_hash": topic.channel.metadata.get("topic_type_hash", ""),
+                    "name": topic,
+                    "type": self._schemas[topic].name,
+                    "serialization_format": channel.message_encoding,
+                    "offered_qos_profiles": dump_qos_v9(parse_qos(channel.metadata.get("offered_qos_profiles", ""))),
+                    "type_description_hash": channel.metadata.get("topic_type_hash", ""),
                 },
-                "message_count": topic.count,
+                "message_count": self._counts[topic],
             }
-            for name, topic in self._topics.items()
+            for topic, channel in self._channels.items()
         ]
         file, information = (  # each with its own times: YAML would write a second mention as an alias
             {
                 "starting_time": {"nanoseconds_since_epoch": start},
                 "duration": {"nanoseconds": end - start},
-                "message_count": count,
+                "message_count": self._counts.total(),
             }
             for _ in range(2)
         )

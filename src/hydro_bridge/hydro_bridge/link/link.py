@@ -24,6 +24,7 @@ from enum import Enum
 from functools import partial
 from math import inf, isclose
 
+from hydro_bridge.clock import BoxClock
 from hydro_bridge.plant_clock import LockStep
 from hydro_bridge.safety.guard import CommandGuard, intersect_limits
 from hydro_bridge.safety.plant_interface import PlantInterface
@@ -31,12 +32,8 @@ from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port, PortLostError
 from hydro_bridge.serial.protocol import BoxDetails, BoxInfo, BoxLaw, ClockFrame, Frame, State
 from hydro_bridge.serial.stream import Decoder, LinkCounts, SequenceTracker, no_frames_message
-from hydro_core.clock import BoxClock
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import STATE_FIELDS, Command, Flag, Law
-
-NO_COMPENSATED_LAW_MESSAGE = "only the paper's force law can be run: the box offers no other"
-
 
 SAMPLE_AGE_MAX = 0.1
 """Largest age [s] of the last sample at which its content still holds; for a box in real time."""
@@ -366,7 +363,7 @@ class Link(PlantInterface):
         self._connected_before, self._corrected, self.last_fault = True, False, ""
         self._log(f"connected to {info.name or 'a box'} on {self.port.settings.path}; disarmed")
         if law is None:
-            self._log(NO_COMPENSATED_LAW_MESSAGE)
+            self._log("only the paper's force law can be run: the box offers no other")
         changed = [
             f"{name} {before:g} -> {after:g}"
             for (name, before), after in zip(vars(wanted).items(), vars(limits).values(), strict=True)

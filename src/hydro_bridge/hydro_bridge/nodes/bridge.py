@@ -21,7 +21,7 @@ from hydro_bridge.ros.diagnostics import Level, Status
 from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
 from hydro_bridge.safety.box_info import bench_mismatches, describe_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
-from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError, describe_non_port
+from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError
 from hydro_bridge.serial.protocol import BoxInfo, State
 from hydro_core.bench_scales import BenchScales
 from hydro_core.cli.console import UserError, command
@@ -117,16 +117,16 @@ def parser() -> argparse.ArgumentParser:
 def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
     """Return a factory of the node for this command line; it takes the filter in this process, or None.
 
-    Raises UserError: the path is not a serial port, or another program keeps the port for 2 s; a second bridge would
+    Raises UserError: the path is a file or a folder, or another program keeps the port for 2 s; a second bridge would
     answer /hydro/arm as well. A missing port may still appear: the link waits for it.
     """
     options = parser().parse_args(own)
     site.apply_site_option(options, bench=site.BENCH_FILE)
     settings = PortSettings(path=options.port, baud=options.baud)
     file = options.bench or bench_digest.shipped_bench_file()
-    bench = bench_digest.read_box_bench(file) if file else None
-    if (kind := describe_non_port(settings.path)) is not None:
-        raise UserError(f"{settings.path} is {kind}, not a serial port")
+    bench = bench_digest.read_parameters(file) if file else None
+    if bench and (bench.get("effects") or bench.get("closures")):
+        raise UserError(f"{file} has effects or closures, it is a model: name the bench.yaml of the box")
     port, end = Port(settings), time.monotonic() + 2.0
     while True:
         try:

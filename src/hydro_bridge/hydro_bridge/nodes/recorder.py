@@ -21,7 +21,7 @@ from rclpy.subscription import Subscription
 from rclpy.task import Future
 
 from hydro_bridge.bags.repair import repair
-from hydro_bridge.bags.writer import BagWriter, code_version, offered_qos
+from hydro_bridge.bags.writer import BagWriter, code_version
 from hydro_bridge.plant_clock import RECORDER_WINDOW
 from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
@@ -57,9 +57,7 @@ class RecorderNode(Node):
         for topic, (kind, offered) in RECORDED_TOPICS.items():
             reliable = offered.reliability == ReliabilityPolicy.RELIABLE
             latched = offered.durability == DurabilityPolicy.TRANSIENT_LOCAL
-            self._writer.add_topic(
-                topic, type_name(kind), offered_qos(offered.depth, reliable=reliable, latched=latched)
-            )
+            self._writer.add_topic(topic, type_name(kind), depth=offered.depth, reliable=reliable, latched=latched)
             qos = QoSProfile(depth=_QUEUE_DEPTH, reliability=offered.reliability, durability=offered.durability)
             self._heard[topic] = self._mailbox.subscribe(topic, kind, qos)
         steady = Clock(clock_type=ClockType.STEADY_TIME)

@@ -7,27 +7,25 @@ ros2 run hydro_bridge replayer BAG [--speed 1.0] [--loop] [--ros-args ...]
 from __future__ import annotations
 
 import argparse
-import threading
 import time
-from collections.abc import Callable
-from itertools import groupby
+from collections.abc import Callable, Iterator
+from itertools import chain, count, groupby
 from operator import itemgetter
 from pathlib import Path
 from struct import pack
-from threading import Event
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
-from hydro_bridge.bags.storage import Bag
-from hydro_bridge.bags.types import RecordingError
+from hydro_bridge.bags.recording import Bag
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATE_CODEC
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
-from hydro_core.cli.console import bounded_number, command
+from hydro_core.cli.console import UserError, bounded_number, command
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
@@ -35,11 +33,11 @@ REPLAYED_TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded; each message has a header."""
 
 
-def replay(path: Path, publish: Callable[[str, bytes], None], stopping: Event, speed: float = 1.0) -> None:
+def replay(path: Path, publish: Callable[[str, bytes], None], speed: float = 1.0) -> Iterator[None]:
     """Pass the messages of `REPLAYED_TOPICS` to `publish` at their original intervals, each stamped with its due time.
 
-    Gaps are shortened to 10 s; a clock that was set back is not waited for. Returns at the end of the recording, or
-    once `stopping` is set. `speed`: recorded seconds per second, above 0. Raises RecordingError.
+    Each step passes those that are due. Gaps are shortened to 10 s; a clock that was set back is not waited for.
+    `speed`: recorded seconds per second, above 0. Raises RecordingError.
     """
     began, began_ns, before, due = time.monotonic(), time.time_ns(), None, 0.0
     for _, pieces in groupby(Bag(path).pieces(), key=lambda piece: id(piece.block)):
@@ -48,45 +46,34 @@ def replay(path: Path, publish: Callable[[str, bytes], None], stopping: Event, s
         for log_time, topic, data in sorted(block, key=itemgetter(0)):
             due += min(max(1e-9 * (log_time - (before or log_time)), 0.0), 10.0) / speed
             before = log_time
-            if stopping.wait(max(0.0, began + due - time.monotonic())):
-                return
+            while time.monotonic() < began + due:
+                yield
             stamp = pack("<iI", *divmod(began_ns + int(1e9 * due), 1_000_000_000))  # in little-endian CDR
             publish(topic, data[:4] + stamp + data[12:])
 
 
 class ReplayerNode(Node):
-    """Node that replays a recording in a separate thread, and ends with it."""
+    """Node that replays a recording, and ends with it."""
 
     def __init__(self, options: argparse.Namespace) -> None:
         super().__init__("replayer")
-        self._options = options
         self._publishers_by_topic = {topic: create_publisher(self, topic) for topic in REPLAYED_TOPICS}
         self.create_service(SetBool, ARM_SERVICE, self._refuse)
         self.create_service(Claim, CLAIM_SERVICE, self._refuse)
-        self._stopping, self.done = Event(), Future()
+        self.done: Future = Future()
         self._diagnostics = DiagnosticsPublisher(self, lambda: Status(message="replaying", values={}))
         request_realtime(realtime=False)
-        self._thread = threading.Thread(target=self._run, name="replay", daemon=True)
+        passes = count() if options.loop else range(1)
+        self._replay = chain.from_iterable(replay(options.bag, self._publish, options.speed) for _ in passes)
+        self.create_timer(1e-3, self._publish_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
+        self.get_logger().info(f"replays {options.bag} as the plant; Ctrl-C ends it")
 
-    def begin(self) -> None:
-        """Start replaying."""
-        self.get_logger().info(f"replays {self._options.bag} as the plant; Ctrl-C ends it")
-        self._thread.start()
-
-    def close(self) -> None:
-        """Stop replaying."""
-        self._stopping.set()
-        if self._thread.is_alive():
-            self._thread.join(2.0)
-
-    def _run(self) -> None:
+    def _publish_due(self) -> None:
         try:
-            again = True
-            while again and not self._stopping.is_set():
-                replay(self._options.bag, self._publish, self._stopping, self._options.speed)
-                again = self._options.loop
+            next(self._replay)
+        except StopIteration:
             self.done.set_result(None)
-        except RecordingError as error:
+        except UserError as error:
             self.done.set_exception(error)
 
     def _publish(self, topic: str, data: bytes) -> None:

@@ -17,17 +17,23 @@ from hydro_core.cli.console import format_cell
 def environment(package: str, folder: str = "templates") -> Environment:
     """Return the template environment of a package: the templates in its `folder`, and the shared ones.
 
-    Text is escaped unless it is marked safe; an undefined name is an error, not empty text.
+    Text is escaped unless it is marked safe; an undefined name is an error, not empty text. `source(FILE)` is the text
+    of a file of the folder as it is, the filter `base64` the encoding of bytes.
 
     `package`: import name, for instance ``hydro_diagnosis``. `folder`: folder with ``.html`` templates.
     """
-    return Environment(
-        loader=ChoiceLoader([PackageLoader(package, folder), PackageLoader("hydro_bridge", "pages/templates")]),
+    loader = PackageLoader(package, folder)
+    made = Environment(
+        loader=ChoiceLoader([loader, PackageLoader("hydro_bridge", "pages/templates")]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    made.globals["source"] = lambda file: loader.get_source(made, file)[0]
+    made.filters["base64"] = lambda content: base64.b64encode(content).decode()
+    made.filters["format_cell"] = format_cell
+    return made
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +54,5 @@ def results_page(title: str, about: Mapping[str, Any], sections: Sequence[Sectio
     `title`: heading of the page. `about`: facts about the run by name: plant, seed, filter, version of the code.
     `sections`: sections in order. Raises OSError: a picture cannot be read.
     """
-    made = environment("hydro_bridge", "pages/templates")
-    made.filters["format_cell"] = format_cell
-    pictures = {
-        section.heading: f"data:image/png;base64,{base64.b64encode(section.picture.read_bytes()).decode()}"
-        for section in sections
-        if section.picture and section.picture.is_file()
-    }
-    return made.get_template("results.html").render(title=title, about=about, sections=sections, pictures=pictures)
+    page = environment("hydro_bridge", "pages/templates").get_template("results.html")
+    return page.render(title=title, about=about, sections=sections)

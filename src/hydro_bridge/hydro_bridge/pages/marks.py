@@ -10,6 +10,8 @@ watchdog     flag WATCHDOG: no commands for 50 ms
 authority    /hydro/authority: change of holder
 episode      /hydro/training: start of the next episode, and result of the last one
 examination  /hydro/training: phase EVALUATING; "examination" in the trainer's diagnostics
+phase        /hydro/training: any other change of the phase
+learner      /hydro/training: the learner went down, or runs again
 weights      /hydro/policy: change of the acting weights after a second without one
 rollback     "rollbacks" in the trainer's diagnostics
 override     "override" in the trainer's diagnostics: gains held by a person, to within 0.5 s
@@ -23,20 +25,24 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.bags.types import RecordingError
-from hydro_bridge.pages.status import PHASES, flag_labels
+from hydro_bridge.bags import RecordingError
+from hydro_bridge.pages.series import PHASES
 from hydro_core.signals import Flag, StateArray
 
 MARKS_MAX = 20_000
-"""Maximum number of marks; later ones are counted, not kept."""
+"""Maximum number of marks of a page."""
+
+
+def flag_labels(flags: int) -> list[str]:
+    """Return the pages' names of the flags that are set."""
+    return [str(flag.name).lower().replace("_", " ") for flag in Flag if flag & flags]
 
 
 @dataclass(frozen=True)
@@ -53,19 +59,22 @@ class MarkCollector:
     """Collects the marks of a recording while it is read in order."""
 
     def __init__(self) -> None:
-        self.dropped = 0
-        """Marks beyond `MARKS_MAX`."""
         self._marks: list[Mark] = []
         self._flags: int | None = None
-        self._said: dict[str, str] = {}
-        self._weights, self._weights_changed = -1, 0.0
+        self._last = {"holder": "unknown"}
+        self._weights, self._weights_changed = -1, -math.inf
 
     def crop(self, begin: float, seconds: float) -> list[Mark]:
-        """Return the marks from `begin` [s] for `seconds`, in order, relative to `begin`; first the lease's holder."""
-        marks = sorted(self._marks, key=lambda mark: mark.time)
-        held = [mark for mark in marks if mark.kind == "authority" and mark.time < begin][-1:]
-        shown = [Mark(begin, mark.kind, mark.text) for mark in held] + [mark for mark in marks if mark.time >= begin]
-        return [Mark(mark.time - begin, mark.kind, mark.text) for mark in shown if mark.time - begin <= seconds]
+        """Return the first marks from `begin` [s] for `seconds`, relative to `begin`; before them what held then."""
+        marks = [replace(mark, time=round(mark.time - begin, 3)) for mark in self._marks]
+        marks.sort(key=lambda mark: mark.time)
+        held = {mark.kind: replace(mark, time=0.0) for mark in marks if mark.time < 0.0}
+        shown = [held[kind] for kind in ("authority", "weights") if kind in held]
+        return (shown + [mark for mark in marks if 0.0 <= mark.time <= seconds])[:MARKS_MAX]
+
+    def add(self, time: float, kind: str, text: str) -> None:
+        """Add a mark."""
+        self._marks.append(Mark(time, kind, text))
 
     def add_states(self, states: StateArray) -> None:
         """Add the marks of `STATE_DTYPE` records, from their flags."""
@@ -87,69 +96,56 @@ class MarkCollector:
                 self.add(time, "watchdog", "no commands for 50 ms: base gains")
         self._flags = int(flags[-1])
 
-    def add_training(self, time: float, message: npt.NDArray[np.void]) -> None:
-        """Add a TrainingStatus record."""
-        phase = PHASES[message["phase"]] if message["phase"] < len(PHASES) else str(message["phase"])
-        if (before := self._changed("phase", phase)) is not None:
-            ended = "examination ends, " if before == "evaluating" else ""
-            self.add(time, "examination" if "evaluating" in (before, phase) else "phase", ended + phase)
-        if self._changed("episode", str(message["episode"])) is not None:
-            rmse, total = float(message["force_rmse"]), float(message["episode_return"])
-            came_to = f"; the last one: RMSE {rmse:.1f} N, return {total:.0f}" if math.isfinite(rmse) else ""
-            self.add(time, "episode", f"episode {message['episode']}{came_to}")
-        if self._changed("learner", str(message["learner_alive"])) is not None:
-            self.add(time, "learner", "the learner runs again" if message["learner_alive"] else "the learner is down")
-
     def add_steps(self, times: npt.NDArray[np.float64], weights: npt.NDArray[np.int64]) -> None:
         """Add the changes of acting weights that come a second or more after the one before."""
         for n in np.flatnonzero(np.diff(weights, prepend=self._weights)):
-            time, digest = float(times[n]), f"weights {int(weights[n]):012x}"
-            if self._weights < 0:
-                self.add(time, "weights", f"{digest}, the first to act")
-            elif time - self._weights_changed >= 1.0:
-                self.add(time, "weights", digest)
-            self._weights_changed, self._weights = time, int(weights[n])
+            time, first = float(times[n]), ", the first to act" if self._weights < 0 else ""
+            self._weights = int(weights[n])
+            if time - self._weights_changed >= 1.0:
+                self.add(time, "weights", f"weights {self._weights:012x}{first}")
+            self._weights_changed = time
 
-    def add_message(self, time: float, message: Any) -> None:
-        """Add a message of /hydro/authority, /diagnostics or /rosout."""
-        if hasattr(message, "holder"):
-            if message.holder != self._said.get("holder"):
+    def add_message(self, topic: str, time: float, message: Any) -> None:
+        """Add a message of /hydro/authority, /hydro/training, /diagnostics or /rosout."""
+        if topic == "/hydro/authority":
+            if self._changed("holder", message.holder) is not None:
                 told = f"commanded by {message.holder}" if message.holder else "no node commands the plant"
                 self.add(time, "authority", told)
-            self._said["holder"] = message.holder
-        elif hasattr(message, "status"):
+        elif topic == "/hydro/training":
+            self._add_training(time, message)
+        elif topic == "/diagnostics":
             for node in message.status:
                 if node.name in ("trainer", "evaluate"):
                     self._add_diagnostics(time, node.name, {entry.key: entry.value for entry in node.values})
-        else:
-            node, _, last = message.name.rpartition(".")
-            if last == "calls":  # as in `hydro_bridge.ros.diagnostics`
-                self.add(time, "call", f"{node} was asked: {message.msg}")
-            elif message.level >= 30:  # WARN
-                self.add(time, "log", f"{message.name}: {message.msg}")
+        elif message.name.endswith(".calls"):  # as in `hydro_bridge.ros.diagnostics`
+            self.add(time, "call", f"{message.name.removesuffix('.calls')} was asked: {message.msg}")
+        elif message.level >= 30:  # WARN
+            self.add(time, "log", f"{message.name}: {message.msg}")
 
-    def _add_diagnostics(self, time: float, node: str, values: Mapping[str, str]) -> None:
-        said = values.get("override", "")
-        texts = {
-            "rollbacks": ("rollback", f"rolled back to the best policy, {values.get('rollbacks')} times in all"),
-            "override": ("override", "gains given back" if said == "no" else f"gains by hand: {said}"),
-            "examination": ("examination", values.get("examination", "")),
-        }
-        for key, (kind, text) in texts.items():
+    def _add_training(self, time: float, message: Any) -> None:
+        phase = PHASES[message.phase]
+        if (before := self._changed("phase", phase)) is not None:
+            ended = "examination ends, " if before == "evaluating" else ""
+            self.add(time, "examination" if "evaluating" in (before, phase) else "phase", ended + phase)
+        if self._changed("episode", str(message.episode)) is not None:
+            result = f"; the last one: RMSE {message.force_rmse:.1f} N, return {message.episode_return:.0f}"
+            self.add(time, "episode", f"episode {message.episode}{result if math.isfinite(message.force_rmse) else ''}")
+        if self._changed("learner", str(message.learner_alive)) is not None:
+            self.add(time, "learner", "the learner runs again" if message.learner_alive else "the learner is down")
+
+    def _add_diagnostics(self, time: float, node: str, values: dict[str, str]) -> None:
+        for key, kind, text in (
+            ("rollbacks", "rollback", "rolled back to the best policy, {} times in all"),
+            ("override", "override", "gains given back" if values.get("override") == "no" else "gains by hand: {}"),
+            ("examination", "examination", "{}"),
+        ):
             if key in values and self._changed(f"{node} {key}", values[key]) is not None:
-                self.add(time, kind, text)
+                self.add(time, kind, text.format(values[key]))
 
     def _changed(self, key: str, now: str) -> str | None:
-        """Return what was said before where it was something else; None the first time."""
-        before, self._said[key] = self._said.get(key, now), now
+        """Return the value before a change; None at first and without one."""
+        before, self._last[key] = self._last.get(key, now), now
         return before if before != now else None
-
-    def add(self, time: float, kind: str, text: str) -> None:
-        """Add a mark."""
-        if len(self._marks) < MARKS_MAX:
-            self._marks.append(Mark(time, kind, text))
-        else:
-            self.dropped += 1
 
 
 def read_windows(report: Path, bag: Path, begin: float) -> list[Mark]:
@@ -160,8 +156,8 @@ def read_windows(report: Path, bag: Path, begin: float) -> list[Mark]:
     """
     try:
         content = json.loads(report.read_text(encoding="utf-8"))
-        begins = [(one["name"], math.nan if one["begin"] is None else one["begin"]) for one in content["recordings"]]
-        alike = [name for name, start in begins if abs(start - begin) < 1e-3]
+        begins = [(one["name"], one["begin"]) for one in content["recordings"]]
+        alike = [name for name, start in begins if start is not None and abs(start - begin) < 1e-3]
         named = [name for name in alike if len(alike) == 1 or Path(name).name in (bag.name, bag.stem)]
         known = len(named) == 1 and [name for name, _ in begins].count(named[0]) == 1
         return [

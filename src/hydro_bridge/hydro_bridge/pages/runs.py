@@ -15,6 +15,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 from hydro_bridge.pages import environment
 from hydro_core.cli.console import Table, UserError, add_json_argument, command, make_parser, plural
@@ -43,13 +44,13 @@ class RunEntry:
     name: str
     kind: str
     """One of `KIND_FILES`."""
-    summary: str
     changed: datetime
     """Time of the last change, UTC."""
     pages: tuple[str, ...]
     pictures: tuple[str, ...]
     recordings: tuple[str, ...]
     """Recordings without a page."""
+    summary: str = ""
     score: float | None = None
     """Of a training's best policy: mean ratio of its RMSE to that of the fixed gains, in its evaluations."""
 
@@ -98,39 +99,34 @@ def _entry(run: Path, kind: str) -> RunEntry:
     def relative(paths: list[Path]) -> tuple[str, ...]:
         return tuple(path.relative_to(run.parent).as_posix() for path in paths if path.exists())
 
-    recording = kind == "recording"
-    bags = [run] if recording else sorted(path.parent for path in run.glob("*/metadata.yaml"))
-    summary, score = _told(run, kind)
+    bags = [run] if kind == "recording" else sorted(path.parent for path in run.glob("*/metadata.yaml"))
     changed = max(path.stat().st_mtime for path in (run, run / KIND_FILES[kind]))
+    told: dict[str, Any] = {}
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):  # of another version
+        if kind == "training":
+            told = _training(json.loads((run / "run.json").read_text(encoding="utf-8"))["events"])
+        elif kind == "diagnosis":
+            report = json.loads((run / "report.json").read_text(encoding="utf-8"))
+            effects = ", ".join(effect["id"] for effect in report["effects"])
+            told = {"summary": f"{report['verdict']}{': ' + effects if effects else ''}".replace("_", " ")}
     return RunEntry(
         name=run.name,
         kind=kind,
-        summary=summary,
         changed=datetime.fromtimestamp(changed, timezone.utc),
-        pages=relative([*sorted(run.glob("*.html")), *([run.with_name(f"{run.name}.html")] if recording else [])]),
+        pages=relative([*sorted(run.glob("*.html")), run.with_name(f"{run.name}.html")]),
         pictures=relative(sorted(run.glob("*.png"))),
         recordings=relative([bag for bag in bags if not bag.with_name(f"{bag.name}.html").is_file()]),
-        score=score,
+        **told,
     )
 
 
-def _told(run: Path, kind: str) -> tuple[str, float | None]:
-    """Return summary and score of a training, the summary of a diagnosis; nothing of one of another version."""
-    summary, score = "", None
-    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
-        if kind == "training":
-            events = json.loads((run / "run.json").read_text(encoding="utf-8"))["events"]
-            episodes = [event for event in events if event["kind"] == "episode"]
-            last = f", the last one with an RMSE of {episodes[-1]['force_rmse']:.1f} N" if episodes else ""
-            ends = [event for event in events if event["kind"] in ("stop", "end") and event.get("sentence")]
-            summary = f"{plural(len(episodes), 'episode')}{last}.{' ' + ends[-1]['sentence'] if ends else ''}"
-            best = [event["score"] for event in events if event["kind"] == "exam" and event["best"]]
-            score = float(best[-1]) if best else None
-        elif kind == "diagnosis":
-            report = json.loads((run / "report.json").read_text(encoding="utf-8"))
-            names = ", ".join(effect["id"].replace("_", " ") for effect in report["effects"])
-            summary = f"{report['verdict'].replace('_', ' ')}{': ' + names if names else ''}"
-    return summary, score
+def _training(events: list[dict[str, Any]]) -> dict[str, Any]:
+    episodes = [event for event in events if event["kind"] == "episode"]
+    last = f", the last one with an RMSE of {episodes[-1]['force_rmse']:.1f} N" if episodes else ""
+    ends = [f" {event['sentence']}" for event in events if event["kind"] in ("stop", "end") and event.get("sentence")]
+    best = [float(event["score"]) for event in events if event["kind"] == "exam" and event["best"]]
+    summary = f"{plural(len(episodes), 'episode')}{last}.{''.join(ends[-1:])}"
+    return {"summary": summary, "score": best[-1] if best else None}
 
 
 @command()

@@ -1,14 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns that the pages plot, and their reduction to minimum and maximum per bin: a pulse of one sample is visible."""
+"""What the pages plot: columns, as minimum and maximum of each bin so that a pulse is visible; the learning curve."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import isfinite
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from hydro_core.signals import Flag, FloatArray
+
+PHASES = ("waiting", "training", "evaluating", "paused", "finished")
+"""TrainingStatus.phase in words."""
 
 
 @dataclass(frozen=True)
@@ -22,38 +27,35 @@ class Column:
     """Factor from the SI unit to the page's."""
 
 
-STATE_COLUMNS = (
-    Column("reference", "reference_force", "N"),
-    Column("force", "load_force", "N"),
-    Column("hydraulic force", "hydraulic_force", "N"),
-    Column("K_p", "proportional_gain", "1/s"),
-    Column("K_i", "integral_gain", "1/s²"),
-    Column("current", "valve_current", "mA", 1e3),
-    Column("pressure a", "pressure_a", "bar", 1e-5),
-    Column("pressure b", "pressure_b", "bar", 1e-5),
-    Column("position", "piston_position", "mm", 1e3),
+SERIES_COLUMNS = (
+    (
+        Column("reference", "reference_force", "N"),
+        Column("force", "load_force", "N"),
+        Column("hydraulic force", "hydraulic_force", "N"),
+        Column("K_p", "proportional_gain", "1/s"),
+        Column("K_i", "integral_gain", "1/s²"),
+        Column("current", "valve_current", "mA", 1e3),
+        Column("pressure a", "pressure_a", "bar", 1e-5),
+        Column("pressure b", "pressure_b", "bar", 1e-5),
+        Column("position", "piston_position", "mm", 1e3),
+        Column("error", "", "N"),
+        Column("armed", ""),
+        Column("tripped", ""),
+    ),
+    (
+        Column("correction", "delta_u", "mA", 1e3),
+        Column("without correction", "certificate_before", "1/s"),
+        Column("with correction", "certificate_after", "1/s"),
+    ),
+    (
+        Column("f_c", "compensated_reference", "N"),
+        Column("a_0", "a_0", "%", 1e2),
+        Column("a_1", "a_1", "ms", 1e3),
+        Column("a_2", "a_2", "10⁻⁵ s²", 1e5),
+        Column("a_3", "a_3", "N"),
+    ),
 )
-CORRECTION_COLUMNS = (
-    Column("correction", "delta_u", "mA", 1e3),
-    Column("without correction", "certificate_before", "1/s"),
-    Column("with correction", "certificate_after", "1/s"),
-)
-LAW_COLUMNS = (
-    Column("f_c", "compensated_reference", "N"),
-    Column("a_0", "a_0", "%", 1e2),
-    Column("a_1", "a_1", "ms", 1e3),
-    Column("a_2", "a_2", "10⁻⁵ s²", 1e5),
-    Column("a_3", "a_3", "N"),
-)
-DERIVED_COLUMNS = (Column("error", "", "N"), Column("armed", ""), Column("tripped", ""))
-"""Columns derived from the state's fields: f_r - f_l; 1 or 0; 1 or 0."""
-SERIES_COLUMNS = ((*STATE_COLUMNS, *DERIVED_COLUMNS), CORRECTION_COLUMNS, LAW_COLUMNS)
-"""Columns of states, corrections and laws."""
-
-
-def column_descriptions() -> list[list[dict[str, str]]]:
-    """Return names and units of the columns of the series, states, corrections and laws, for the page."""
-    return [[{"name": column.name, "unit": column.unit} for column in columns] for columns in SERIES_COLUMNS]
+"""Columns of states, corrections and laws; those without a field are derived: f_r - f_l; 1 or 0; 1 or 0."""
 
 
 def column_values(number: int, table: npt.NDArray[np.void]) -> FloatArray:
@@ -80,49 +82,39 @@ def encode_bins(series: int, first: int, bins: BinTable) -> bytes:
 
 
 class LiveSeries:
-    """Bins of a live stream, at least those of the last minute; `columns`: number of values in a sample.
+    """Bins of a live stream, those of the last minute; `columns`: number of values in a sample.
 
     Bin floor(time / BIN_WIDTH) is closed, and sent, once a later one has a sample.
     """
 
     def __init__(self, columns: int) -> None:
-        self._table = np.full((2 * HISTORY_BINS, columns, 2), np.nan, np.float32)
-        self._first = self._sent = self._open = (
-            0  # numbers of the table's first bin, the next to send, the one that fills
-        )
+        self._ring = np.full((HISTORY_BINS, columns, 2), np.nan, np.float32)
+        self._first = self._sent = self._open = 0  # numbers of the first bin, the next to send, the one that fills
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
         """Add samples; those of closed bins are skipped, and after a jump of the clock the series starts again.
 
         `times`: s, shape (n,), not falling. `values`: shape (n, columns). Non-finite values count as missing.
         """
-        if not len(times):
-            return
         bins = np.floor(times / BIN_WIDTH).astype(np.int64)
-        if abs(int(bins[-1]) - self._open) >= HISTORY_BINS:
-            self._table[:] = np.nan
-            self._first = self._sent = self._open = max(int(bins[0]), int(bins[-1]) - HISTORY_BINS + 1)
+        last = int(bins[-1])
+        if abs(last - self._open) >= HISTORY_BINS:
+            self._ring[:] = np.nan
+            self._first = self._sent = self._open = max(int(bins[0]), last - HISTORY_BINS + 1)
+        self._ring[np.arange(self._open + 1, last + 1) % HISTORY_BINS] = np.nan
         good = bins >= self._open
-        while int(bins[-1]) >= self._first + len(self._table):
-            self._table[:HISTORY_BINS] = self._table[HISTORY_BINS:]
-            self._table[HISTORY_BINS:] = np.nan
-            self._first += HISTORY_BINS
-        self._open = max(self._open, int(bins[-1]))
-        _reduce_into(self._table, bins[good] - self._first, values[good])
+        self._open = max(self._open, last)
+        _reduce_into(self._ring, bins[good] % HISTORY_BINS, values[good])
 
     def poll(self) -> tuple[int, BinTable]:
         """Return the bins closed since the last call, and the number of their first."""
-        found = self._between(self._sent, self._open)
-        self._sent = self._open
-        return found
+        begin, self._sent = self._sent, self._open
+        return begin, self._ring[np.arange(begin, self._sent) % HISTORY_BINS]
 
     def history(self) -> tuple[int, BinTable]:
         """Return the last minute up to the last `poll`, for a new viewer that gets the next bins by `poll`."""
-        return self._between(self._sent - HISTORY_BINS, self._sent)
-
-    def _between(self, begin: int, end: int) -> tuple[int, BinTable]:
-        begin = max(begin, self._first)
-        return begin, self._table[begin - self._first : end - self._first].copy()
+        begin = max(self._first, self._open - HISTORY_BINS + 1)
+        return begin, self._ring[np.arange(begin, self._sent) % HISTORY_BINS]
 
 
 class RecordedSeries:
@@ -141,8 +133,6 @@ class RecordedSeries:
 
     def add(self, times: FloatArray, values: FloatArray) -> None:
         """Add samples from `begin` on; `times`: s, shape (n,). `values`: shape (n, columns), NaN: missing."""
-        if not len(times):
-            return
         self.end = max(self.end, float(times.max()))
         while self.end - self._begin >= self.bin_width * len(self._table):
             self._merge()
@@ -167,10 +157,40 @@ class RecordedSeries:
 
 
 def _reduce_into(table: BinTable, rows: npt.NDArray[np.int64], values: FloatArray) -> None:
-    """Extend minimum and maximum of the table's rows by the values of samples, which are sorted by row."""
-    if not len(rows):
-        return
-    rows, starts = np.unique(rows, return_index=True)
-    finite = np.where(np.isfinite(values), values, np.nan)
-    table[rows, :, 0] = np.fmin(table[rows, :, 0], np.fmin.reduceat(finite, starts, axis=0))
-    table[rows, :, 1] = np.fmax(table[rows, :, 1], np.fmax.reduceat(finite, starts, axis=0))
+    """Extend minimum and maximum of the table's rows by the values of samples, of which those of a row are adjacent."""
+    starts = np.flatnonzero(np.diff(rows, prepend=-1))
+    if len(starts):
+        rows, finite = rows[starts], np.where(np.isfinite(values), values, np.nan)
+        table[rows, :, 0] = np.fmin(table[rows, :, 0], np.fmin.reduceat(finite, starts, axis=0))
+        table[rows, :, 1] = np.fmax(table[rows, :, 1], np.fmax.reduceat(finite, starts, axis=0))
+
+
+class LearningCurve:
+    """Learning curve: results of the finished episodes, at most 1000; beyond that every second one is dropped."""
+
+    KEYS = ("episode", "rmse", "return", "critic_loss", "actor_loss")
+
+    def __init__(self) -> None:
+        self._rows: list[tuple[float, ...]] = []
+        self._last = 0
+        self._result: tuple[float, ...] = ()
+
+    def add(self, status: Any) -> None:
+        """Add a TrainingStatus, as a message or the row of a table.
+
+        Changed results are those of a further episode; `episode` is the present one in training, else the last one. A
+        smaller episode number starts another run.
+        """
+        if status.episode < self._last:
+            self._rows.clear()
+        before, self._last, self._result = self._result, status.episode, (status.force_rmse, status.episode_return)
+        if self._result == before or not isfinite(status.episode_return):
+            return
+        episode = status.episode - (status.phase == PHASES.index("training"))
+        self._rows.append((episode, *self._result, status.critic_loss, status.actor_loss))
+        if len(self._rows) > 1000:
+            del self._rows[::2]
+
+    def content(self) -> dict[str, list[float]]:
+        """Return the curve for the page: a list of values for each key of `KEYS`."""
+        return {key: [row[column] for row in self._rows] for column, key in enumerate(self.KEYS)}

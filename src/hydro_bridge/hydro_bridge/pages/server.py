@@ -16,13 +16,12 @@ from __future__ import annotations
 
 import asyncio
 import http
+import logging
+import mimetypes
 import threading
 from collections.abc import Awaitable, Callable, Mapping, Sequence
-from concurrent.futures import TimeoutError as FutureTimeoutError
 from contextlib import suppress
-from functools import partial
 from ipaddress import ip_address
-from pathlib import Path
 from socket import gethostname
 from typing import Any
 from urllib.parse import urlsplit
@@ -40,13 +39,13 @@ PORT = 8765
 """Default port; if it is taken, any free one."""
 VIEWERS_MAX = 16
 """Maximum number of simultaneous viewers."""
+_LOGGER = logging.getLogger(__name__)
+_LOGGER.setLevel(logging.CRITICAL)  # the library would log a traceback for each that speaks no HTTP
 BACKLOG_MAX = 256 * 1024
 """Bytes queued for a viewer beyond which frames for it are dropped."""
 
-Message = str | bytes
 
-
-def encode_message(kind: str, content: Mapping[str, Any]) -> str:
+def encode_message(kind: str, **content: Any) -> str:
     """Encode a message to the page; non-finite values become null."""
     return msgspec.json.encode({"kind": kind, **content}).decode()
 
@@ -70,16 +69,11 @@ class PageServer:
         port: int | None = None,
     ) -> None:
         self._files, self._talk, self._policy, self._host = files, attend, policy, host
-        self._viewers: set[ServerConnection] = set()
+        self._viewers: set[ServerConnection] = set()  # both change in the server's thread alone
         self._new: set[ServerConnection] = set()
-        self._lock = threading.Lock()
         self._loop = asyncio.new_event_loop()
-        listen = partial(
-            serve, self._attend, host, process_request=self._answer, compression=None, max_size=message_size_max,
-            ping_interval=5.0, close_timeout=0.5, server_header=None,
-        )  # fmt: skip
         try:
-            self._server = self._loop.run_until_complete(_listen(listen, port))
+            self._server = self._loop.run_until_complete(self._listen(port, message_size_max))
         except OSError as error:
             self._loop.close()
             where = f"{host} port {port}" if port else host
@@ -95,38 +89,50 @@ class PageServer:
         """Number of viewers."""
         return len(self._viewers) + len(self._new)
 
-    def publish(self, frames: Sequence[Message], welcome: Callable[[], Sequence[Message]]) -> None:
+    def publish(self, frames: Sequence[str | bytes], welcome: Callable[[], Sequence[str | bytes]]) -> None:
         """Send `frames` to all viewers, and first `welcome()` to new ones; thread-safe, returns at once."""
-        with self._lock:
-            new, self._new = self._new, set()
-        if new or self._viewers:
-            first = welcome() if new else ()
-            self._loop.call_soon_threadsafe(self._send, new, first, frames)
+        if self.viewers:
+            self._loop.call_soon_threadsafe(self._send, welcome() if self._new else None, frames)
 
     def close(self) -> None:
         """Close all connections and end the thread."""
-        self._loop.call_soon_threadsafe(self._server.close)
-        with suppress(FutureTimeoutError, asyncio.TimeoutError):
-            closed = asyncio.wait_for(self._server.wait_closed(), 2.0)
-            asyncio.run_coroutine_threadsafe(closed, self._loop).result(5.0)
-        self._loop.call_soon_threadsafe(self._loop.stop)
+
+        async def end() -> None:
+            self._server.close()
+            with suppress(asyncio.TimeoutError):
+                await asyncio.wait_for(self._server.wait_closed(), 2.0)
+            self._loop.stop()
+
+        asyncio.run_coroutine_threadsafe(end(), self._loop)
         self._thread.join(5.0)
         self._loop.close()
+
+    async def _listen(self, port: int | None, size: int) -> Server:
+        try:
+            return await serve(
+                self._attend, self._host, PORT if port is None else port, process_request=self._answer,
+                compression=None, max_size=size, ping_interval=5.0, close_timeout=0.5, server_header=None,
+                logger=_LOGGER,
+            )  # fmt: skip
+        except OSError:
+            if port is not None:
+                raise
+            return await self._listen(0, size)
 
     def _answer(self, connection: ServerConnection, request: Request) -> Response | None:
         """Return the page's files; None for its WebSocket, which the library handles."""
         path = urlsplit(request.path).path
         if _is_cross_origin(request, self._host):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "another page may not talk to this one\n")
+        if path in ("/", "/socket") and self.viewers >= VIEWERS_MAX:
+            said = f"{VIEWERS_MAX} pages look already: close one of them, then reload this one\n"
+            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, said)
         if path == "/socket":
-            if self.viewers < VIEWERS_MAX:
-                return None
-            return connection.respond(http.HTTPStatus.SERVICE_UNAVAILABLE, f"{VIEWERS_MAX} viewers look already\n")
+            return None
         if path not in self._files:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "no such page\n")
-        kind = {".css": "css", ".js": "javascript"}.get(Path(path).suffix, "html")
         headers = {
-            "Content-Type": f"text/{kind}; charset=utf-8",
+            "Content-Type": f"{mimetypes.guess_type(path)[0] or 'text/html'}; charset=utf-8",
             "Content-Length": str(len(self._files[path])),
             "Cache-Control": "no-store",
             "Connection": "close",
@@ -137,33 +143,23 @@ class PageServer:
         return Response(200, "OK", Headers(headers), self._files[path])
 
     async def _attend(self, viewer: ServerConnection) -> None:
-        with self._lock:
-            self._new.add(viewer)
+        self._new.add(viewer)
         try:
             with suppress(ConnectionClosed):
                 await self._talk(viewer)
         finally:
-            with self._lock:
-                self._new.discard(viewer)
-                self._viewers.discard(viewer)
+            self._new.discard(viewer)
+            self._viewers.discard(viewer)
 
-    def _send(self, new: set[ServerConnection], first: Sequence[Message], frames: Sequence[Message]) -> None:
-        for message in first:
-            broadcast(new, message)
-        with self._lock:
-            self._viewers |= {viewer for viewer in new if viewer.state == viewer.state.OPEN}
+    def _send(self, first: Sequence[str | bytes] | None, frames: Sequence[str | bytes]) -> None:
+        if first is not None:
+            for message in first:
+                broadcast(self._new, message)
+            self._viewers |= self._new
+            self._new.clear()
         reading = [viewer for viewer in self._viewers if viewer.transport.get_write_buffer_size() < BACKLOG_MAX]
         for message in frames:
             broadcast(reading, message)
-
-
-async def _listen(listen: Callable[..., Awaitable[Server]], port: int | None) -> Server:
-    try:
-        return await listen(port=PORT if port is None else port)
-    except OSError:
-        if port is not None:
-            raise
-        return await listen(port=0)
 
 
 def _is_cross_origin(request: Request, given: str) -> bool:

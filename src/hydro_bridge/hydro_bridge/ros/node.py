@@ -39,7 +39,7 @@ from rclpy.utilities import get_rmw_implementation_identifier
 from hydro_bridge.ros.keys import KEYSTORE_VARIABLE, enclave_name, security_enabled
 from hydro_bridge.ros.topics import ACCESS_RIGHTS, hidden_node
 from hydro_core.errors import UserError
-from hydro_core.process import startup, termination
+from hydro_core.process import termination
 from hydro_core.process.realtime import limit_run_time
 from hydro_core.settings import SettingsError, check, convert, describe
 
@@ -57,11 +57,7 @@ def restrict_to_localhost() -> None:
     """Restrict ROS discovery to this machine for this process and its children, unless the user has set otherwise.
 
     Call before ROS starts.
-
-    Raises UserError: the middleware that the user selected is not installed.
     """
-    if trouble := startup.missing_middleware():
-        raise UserError(trouble)
     here = os.environ.setdefault(DISCOVERY_RANGE_VARIABLE, LOCALHOST) == LOCALHOST
     profile = str(resources.files("hydro_bridge.ros") / ("this_machine.xml" if here else "any_network.xml"))
     ours = os.environ.setdefault(FASTDDS_PROFILES_VARIABLE, profile) == profile
@@ -104,11 +100,12 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
 
 
 def refuse_unknown_parameters(*nodes: Node) -> None:
-    """Raise for parameters that were set but are declared by no node; ROS would ignore them silently.
+    """Raise for parameters and remapped names that no node has; ROS would ignore them silently.
 
     A file may hold the parameters of other nodes as well. Raises SettingsError: the user set a parameter, by name or
-    in a file, that none of these nodes has, or that is addressed to no node.
+    in a file, that none of these nodes has, or that is addressed to no node; or remapped a name that none uses.
     """
+    _refuse_unmatched_remaps(nodes)
     here = [node.get_fully_qualified_name() for node in nodes]
     ours = {node for table in ACCESS_RIGHTS.values() for node in table}
     for option, value in pairwise(ros_arguments()[1]):
@@ -130,6 +127,25 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
             close = get_close_matches(name, [known for node in nodes for known in node.get_parameters_by_prefix("")], 1)
             hint = f"; is {close[0]} meant?" if close else ""
             raise SettingsError(f"{' and '.join(node.get_name() for node in nodes)} has no parameter {name}{hint}")
+
+
+def _refuse_unmatched_remaps(nodes: Sequence[Node]) -> None:
+    """Raise SettingsError for a remapped topic or service that none of the nodes has under its new name."""
+    names: set[str] = set()
+    for node in nodes:
+        for ask in (
+            node.get_publisher_names_and_types_by_node, node.get_subscriber_names_and_types_by_node,
+            node.get_service_names_and_types_by_node, node.get_client_names_and_types_by_node,
+        ):  # fmt: skip
+            names |= {name for name, _ in ask(node.get_name(), node.get_namespace())}
+    for option, rule in pairwise(ros_arguments()[1]):
+        before, _, after = rule.rpartition(":=")
+        if option not in ("-r", "--remap") or before.rpartition(":")[2].startswith("__"):  # of a node's own name
+            continue
+        if not any(name == after or name.endswith(f"/{after.lstrip('~/')}") for name in names):
+            raise SettingsError(
+                f"--remap {rule}: {' and '.join(n.get_name() for n in nodes)} has no such name to remap"
+            )
 
 
 def _sections(content: Any, above: str = "") -> Iterator[str]:

@@ -215,7 +215,7 @@ _RIGHTS_BY_EXECUTABLE = {
     ),
     "recorder": AccessRights(publishes=(DIAGNOSTICS, ANSWERED)),
     "dashboard": AccessRights(
-        publishes=(DIAGNOSTICS,), subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
+        subscribes=(BOX, AUTHORITY, TRAINING, DIAGNOSTICS),
         calls=(CLAIM_SERVICE, OVERRIDE_SERVICE, FREEZE_SERVICE, END_SERVICE),
     ),
     "arm": AccessRights(calls=(CLAIM_SERVICE,)),

@@ -35,10 +35,6 @@ _SAMPLES_KEPT = 256
 """Number of samples whose nominal current is kept: more than `correction_age_max` can span."""
 
 LAW_NOT_OFFERED_MESSAGE = "the compensated law is refused: this box does not offer it (protocol.md)"
-LAW_CHANGE_MESSAGE = "another force law is refused while the plant is armed: the present one stays until it is disarmed"
-STALE_LAW_MESSAGE = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
-
-MISMATCH_MESSAGE = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
 
 
 def safe_command(law: BoxLaw) -> LawCommand:
@@ -156,7 +152,8 @@ class CommandGuard:
         changes = wanted.law is not self._law.law
         missing = wanted.law is Law.COMPENSATED and self.box_law is None
         self._tell("law offered", missing, LAW_NOT_OFFERED_MESSAGE, "the force law is one that the box offers again")
-        self._tell("law armed", changes and self.armed, LAW_CHANGE_MESSAGE, "the present force law is commanded again")
+        refused = "another force law is refused while the plant is armed: disarm it first"
+        self._tell("law armed", changes and self.armed, refused, "the present force law is commanded again")
         if missing or (changes and self.armed):
             self.counts.laws_refused += 1
             return
@@ -310,9 +307,8 @@ class CommandGuard:
         if self.armed and self._gained:
             missed = f"no gains for {1e3 * self.settings.gains_age_max:g} ms: base gains are in force"
             self._tell("stale gains", not gained, missed, "gains are fresh again")
-        self._tell(
-            "mismatch", self._mismatched, MISMATCH_MESSAGE, "the filter's model fits again: gains as wide as before"
-        )
+        mismatch = "the filter says that its model is not this bench's: no correction, gains within the narrow range"
+        self._tell("mismatch", self._mismatched, mismatch, "the filter's model fits again: gains as wide as before")
         passed = self._gains if gained and (answered or not self.settings.require_filter) else (0.0, 0.0)
         gains, narrow = passed, UNFILTERED_LIMITS
         if self._mismatched:
@@ -328,7 +324,8 @@ class CommandGuard:
         fresh = gained and self.correction_fresh(now)
         self.counts.stale_law += not fresh
         stale = self.armed and self._gained and not fresh
-        self._tell("stale law", stale, STALE_LAW_MESSAGE, "the compensated law is commanded")
+        unheard = "the compensated law is not commanded: its safe record, base gains and neutral coefficients"
+        self._tell("stale law", stale, unheard, "the compensated law is commanded")
         mismatch = "the filter said that its model is not this bench's: base gains of the compensated law"
         self._tell("mismatch", self._mismatched, mismatch, "the filter's model fits again")
         gains = (0.0, 0.0) if self._mismatched else self._gains

@@ -8,9 +8,9 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from typing import Any
 
+from hydro_bridge.clock import HostClock
 from hydro_bridge.plant_clock import LockStep, LockStepSettings
 from hydro_bridge.safety.guard import CommandGuard
-from hydro_core.clock import HostClock
 from hydro_core.signals import Flag, flag_names
 
 LogFunction = Callable[[str], None]

@@ -7,14 +7,13 @@ import contextlib
 import errno
 import os
 import select
-import stat
 from dataclasses import dataclass
 from typing import Annotated
 
 import serial
 
 from hydro_core.errors import UserError
-from hydro_core.settings import check, described, quantity
+from hydro_core.settings import SettingsError, check, described, quantity
 
 
 class PortLostError(UserError):
@@ -39,6 +38,8 @@ class PortSettings:
 
     def __post_init__(self) -> None:
         check(self)
+        if not self.path.strip():
+            raise SettingsError("the port's name is empty: give the device, as in --port /dev/ttyUSB0")
 
 
 class Port:
@@ -58,9 +59,14 @@ class Port:
         return os.path.realpath(self.settings.path).startswith("/dev/pts/")
 
     def open(self) -> None:
-        """Open the port; raises PortLostError with the reason, PortTakenError if another program has it."""
+        """Open the port; raises PortLostError with the reason, PortTakenError if another program has it.
+
+        Raises UserError: the path is a file or a folder.
+        """
         self.close()
         path = self.settings.path
+        if os.path.isfile(path) or os.path.isdir(path):
+            raise UserError(f"{path} is not a serial port: give the box's device by --port")
         try:
             self._serial = serial.Serial(path, self.settings.baud, timeout=0, write_timeout=0, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
@@ -124,21 +130,6 @@ class Port:
         if self._serial is None:
             raise PortLostError(f"{self.settings.path} is closed")
         return self._serial.fileno()
-
-
-def describe_non_port(path: str) -> str | None:
-    """Return a description of a path that is no serial port; None if it is one, is absent, or cannot be determined."""
-    try:
-        mode = os.stat(path).st_mode
-        if not stat.S_ISCHR(mode):
-            return "a folder" if stat.S_ISDIR(mode) else "a file"
-        descriptor = os.open(path, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
-    except OSError:  # absent, taken, or no permission: the actual opening gives the reason
-        return None
-    try:
-        return None if os.isatty(descriptor) else "another device"
-    finally:
-        os.close(descriptor)
 
 
 def _text(error: Exception) -> str:

@@ -8,10 +8,8 @@ from __future__ import annotations
 
 import argparse
 import os
-import queue
 import sys
-import threading
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import wraps
@@ -113,20 +111,6 @@ def print_above_progress(line: str) -> None:
         tqdm.write(line, file=sys.stderr)
 
 
-def terminal_lines() -> queue.SimpleQueue[str]:
-    """Return a queue of the lines typed on the terminal from now on; it stays empty without a terminal."""
-    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
-
-    def read() -> None:
-        with suppress(OSError, ValueError):  # the terminal was closed
-            for line in sys.stdin:
-                lines.put(line)
-
-    if sys.stdin is not None and sys.stdin.isatty():
-        threading.Thread(target=read, daemon=True).start()
-    return lines
-
-
 @dataclass
 class Table:
     """Table of results: aligned text for people, and JSON with documented keys for programs."""
@@ -195,10 +179,3 @@ def explicit_options(parser: argparse.ArgumentParser, words: Sequence[str]) -> d
     names = vars(parser.parse_args(words))
     said = vars(parser.parse_args(words, argparse.Namespace(**dict.fromkeys(names, absent))))
     return {name: value for name, value in said.items() if value is not absent}
-
-
-def refuse_on_resume(parser: argparse.ArgumentParser, words: Sequence[str], fixed: Collection[str]) -> None:
-    """Raise UserError if `words` give an option, by name, that is fixed when a run begins."""
-    spelled = {action.dest: action.option_strings[0] for action in parser._actions if action.option_strings}
-    if wrong := [spelled[name] for name in explicit_options(parser, words) if name in fixed]:
-        raise UserError(f"--resume goes on with the options of the start: leave out {' and '.join(wrong)}")

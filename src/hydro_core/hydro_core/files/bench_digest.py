@@ -46,17 +46,6 @@ def read_parameters(path: str | Path) -> dict[str, Any]:
     return numbers
 
 
-def read_box_bench(path: str | Path) -> dict[str, Any]:
-    """Return the parameters of the bench.yaml that a box is configured with.
-
-    Raises UserError: as `read_parameters`, or the file has effects or closures.
-    """
-    numbers = read_parameters(path)
-    if found := [key for key in _LIST_KEYS if numbers.get(key)]:
-        raise UserError(f"{path} has {' and '.join(found)}, it is a model: name the bench.yaml of the box")
-    return numbers
-
-
 def shipped_bench_file() -> Path | None:
     """Return the path of the bench.yaml installed by hydro_sim, from the ament index; None without hydro_sim."""
     prefixes = os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Latencies, periodic deadlines, exact timers, and a run-time limit that keeps SCHED_FIFO from hanging the machine.
+"""Latencies, and a run-time limit that keeps SCHED_FIFO from hanging the machine.
 
 RLIMIT_RTTIME counts the CPU time of a real-time thread since it last slept. At `CPU_TIME_SOFT_LIMIT` the kernel sends
 SIGXCPU: the process drops to ordinary scheduling and ends cleanly (`Terminated`). A compiled loop, which Python cannot
@@ -8,12 +8,10 @@ interrupt, is killed at `CPU_TIME_HARD_LIMIT`; the box trips 200 ms after its la
 
 from __future__ import annotations
 
-import ctypes
 import os
 import resource
 import signal
 import threading
-import time
 from array import array
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -74,12 +72,6 @@ def limit_run_time() -> None:
     resource.setrlimit(resource.RLIMIT_RTTIME, (min(soft, hard), hard))
 
 
-def disable_timer_slack() -> None:
-    """Ask the kernel to wake the calling thread on time, without the default timer slack of 50 us."""
-    with suppress(OSError, AttributeError):
-        ctypes.CDLL(None, use_errno=True).prctl(29, 1, 0, 0, 0)  # PR_SET_TIMERSLACK, 1 ns
-
-
 def drop_realtime() -> None:
     """Set this process to SCHED_OTHER at nice 0 or more, before work that must not delay others."""
     with suppress(OSError):
@@ -91,38 +83,3 @@ def drop_realtime() -> None:
 def _end(number: int, _: FrameType | None) -> None:
     drop_realtime()
     raise Terminated(number, f"ran {CPU_TIME_SOFT_LIMIT:g} s by SCHED_FIFO without a pause: it ends here")
-
-
-class PeriodicTimer:
-    """Periodic deadlines at start + n `period`: delays up to `catch_up_max` are caught up, longer ones are skipped.
-
-    `period`: s between deadlines. `catch_up_max`: delay [s], as after a suspend of the machine, beyond which the lost
-    time is skipped.
-    """
-
-    def __init__(self, period: float, *, catch_up_max: float = 0.1) -> None:
-        self.period_ns, self._catch_up_max_ns = round(1e9 * period), round(1e9 * catch_up_max)
-        self.lateness = Latency()
-        self.late = 0
-        """Number of periods that began more than one period late."""
-        self.skipped = 0.0
-        """Time [s] skipped."""
-        self.restart()
-
-    def restart(self) -> None:
-        """Restart the deadlines at the present time."""
-        self.deadline_ns = time.monotonic_ns()
-        """ns, monotonic time at which the present period was due."""
-
-    def wait(self) -> None:
-        """Sleep until the next deadline."""
-        self.deadline_ns += self.period_ns
-        left = self.deadline_ns - time.monotonic_ns()
-        if left > 0:
-            time.sleep(1e-9 * left)
-            left = self.deadline_ns - time.monotonic_ns()
-        self.lateness.add(max(0.0, -1e-9 * left))
-        self.late += -left > self.period_ns
-        if -left > self._catch_up_max_ns:
-            self.skipped -= 1e-9 * left
-            self.deadline_ns -= left

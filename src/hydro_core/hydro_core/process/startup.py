@@ -10,8 +10,8 @@ import io
 import os
 import signal
 import sys
+import tempfile
 from importlib import import_module
-from pathlib import Path
 
 from hydro_core.errors import UserError
 from hydro_core.process import termination
@@ -19,20 +19,6 @@ from hydro_core.process import termination
 _ROS_PACKAGES = (
     "rclpy", "hydro_msgs", "std_srvs", "diagnostic_msgs", "rcl_interfaces", "rosgraph_msgs", "ament_index_python",
 )  # fmt: skip
-
-
-def missing_middleware() -> str:
-    """Return an error message if the selected ROS middleware is not installed; empty if it is, or is the default."""
-    wanted, index = os.environ.get("RMW_IMPLEMENTATION", ""), "share/ament_index/resource_index/rmw_typesupport"
-    files = {path.name for prefix in _prefixes() for path in (prefix / index).glob("rmw_*")}
-    installed = sorted(files - {"rmw_implementation"})  # which selects one
-    if not wanted or not installed or wanted in installed:
-        return ""
-    return f"RMW_IMPLEMENTATION is {wanted}, which is not installed: unset it, or take {' or '.join(installed)}"
-
-
-def _prefixes() -> list[Path]:
-    return [Path(prefix) for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep) if prefix]
 
 
 class LazyMain:
@@ -50,12 +36,12 @@ class LazyMain:
         """Install the signal handlers, import the module and run its `main`, which installs its own."""
         # Importing takes seconds, and a traceback would not help the user.
         termination.install(termination.exit_during_startup)
+        if not os.environ.keys() & {"HOME", "ROS_HOME", "ROS_LOG_DIR"}:  # ROS would refuse to start
+            os.environ["ROS_LOG_DIR"] = tempfile.gettempdir()
         signal.pthread_sigmask(signal.SIG_UNBLOCK, termination.SIGNALS)  # blocked in a companion process until here
         if isinstance(sys.stdout, io.TextIOWrapper):
             sys.stdout.reconfigure(line_buffering=True)  # a pipe, too, gets each line as it is printed
         try:
-            if trouble := missing_middleware():
-                raise UserError(trouble)
             status: int | None = import_module(self._module).main()
             return status
         except UserError as error:  # in a user's file read during the import, such as an effect

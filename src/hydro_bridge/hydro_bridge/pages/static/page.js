@@ -26,7 +26,6 @@ let drawn = 0;
 let changed = false;
 let held = false;
 let socket = null;
-let number = 0;
 
 function connect() {
   const opened = new WebSocket(`ws://${location.host}/socket`);
@@ -131,11 +130,11 @@ function words(told) {
   list("training", training.phase ? [
     ["phase", training.phase, training.phase === "paused"],
     ["episode, step", `${training.episode}, ${training.step}`],
-    ["last return", shown(training.return ?? NaN)],
-    ["last RMSE", `${shown(training.rmse ?? NaN)} N`],
-    ["entropy coefficient", shown(training.alpha ?? NaN)],
+    ["last return", shown(training.episode_return ?? NaN)],
+    ["last RMSE", `${shown(training.force_rmse ?? NaN)} N`],
+    ["entropy coefficient", shown(training.entropy_coefficient ?? NaN)],
     ["updates", training.updates],
-    ["learner", training.learner ? "alive" : "DOWN", !training.learner],
+    ["learner", training.learner_alive ? "alive" : "DOWN", !training.learner_alive],
     ["examination", trainer.examination ?? "-"],
     ["rollbacks", trainer.rollbacks ?? "-"],
     ["gains by hand", trainer.override ?? "-", trainer.override && trainer.override !== "no"],
@@ -199,7 +198,7 @@ function send(command, more = {}, epoch = pulse?.epoch ?? "") {
     answered(`${command}: not sent, there is no connection to the dashboard`, false);
     return;
   }
-  socket.send(JSON.stringify({ command, number: ++number, epoch, token: $("token").value, ...more }));
+  socket.send(JSON.stringify({ command, epoch, token: $("token").value, ...more }));
   answered(`${command}: asked …`, true);
 }
 

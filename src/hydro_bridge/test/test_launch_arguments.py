@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from hydro_core.cli.launch_arguments import refuse_unknown_arguments
+from hydro_bridge.ros.launch_arguments import refuse_unknown_arguments
 from hydro_core.errors import UserError
 
 FILE = "src/hydro_policy/launch/train.launch.py"
