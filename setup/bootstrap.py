@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make this checkout ready to run: environment, pinned wheels, built packages, compiled kernels.
-
-Does nothing where nothing has changed.
+"""Make this checkout ready to run (environment, pinned wheels, built packages, compiled kernels), as far as it is not.
 
 Usage: python3 -m setup.bootstrap [--checks] [--main-job | --without-kernels]
 

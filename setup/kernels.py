@@ -9,7 +9,6 @@ from __future__ import annotations
 import json
 import multiprocessing
 import os
-import signal
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor, as_completed
@@ -40,8 +39,6 @@ from hydro_sim.model.plant import AnalyticPlant
 from hydro_sim.model.tables import KNOTS
 from hydro_sim.simulation.offline import Schedule, simulate
 
-PROCESSES = 4
-"""At most: each takes half a gigabyte."""
 BENCH = Bench.nominal()
 
 
@@ -87,19 +84,19 @@ def _simulation() -> None:
 
 def _diagnosis() -> None:
     path, record = np.zeros(10), memory.Memory(1e-3)
-    record.bristle("z", path, 2e5, np.ones(10))
-    record.play("p", path, 0.1)
+    record.bristle(path, 2e5, np.ones(10))
+    record.play(path, 0.1)
     dynamics.overlap_output(np.zeros((10, 4)), 1e-3, 1e-4)
     closure.evaluate_spline(path, 0.0, 1.0, np.zeros(KNOTS))
     rest = {name: np.full(200, 1e6 if name.startswith("pressure") else 0.0) for name in MEASURED_CHANNELS}
     model = segment_model.SegmentModel(Segment("rest", 0.0, 1e-3, {**rest, "valve_current": np.zeros(200)}), BENCH)
-    begins, causes = np.arange(20, 40, 10), {effect.label: effect for effect in LIBRARY}
+    causes = {effect.label: effect for effect in LIBRARY}
     leak = base.EffectHypothesis(causes["leakage_internal"], {"coefficient": 0.0})
     gain = base.EffectHypothesis(causes["valve_gain"], {"ratio": 1.0})
     for claims in ((), (leak,), (gain,)):
         model.residuals(base.PRESSURE, claims), model.motion_residual(claims)
-        plant = simulation.Plant.of(model, claims)
-        plant.run(plant.start(begins), begins, 3)
+        simulated, begins = simulation.WindowSimulation(model, claims), np.arange(20, 40, 10)
+        simulated.readings(simulated.recorded[:, begins], begins, 3)
 
 
 MAIN_JOB: dict[str, Callable[[], None]] = {
@@ -114,27 +111,20 @@ KERNELS = MAIN_JOB | {
 
 def main(scope: str, stamp: Path, machine: str) -> None:
     """Compile, in a process per core, and write down of which sources."""
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))  # which ends the processes, too
     kernels = MAIN_JOB if scope == "main-job" else KERNELS
     loaded = [str(Path(file).resolve()) for module in sys.modules.values() if (file := getattr(module, "__file__", ""))]
     sources = {file: [(stat := os.stat(file)).st_mtime_ns, stat.st_size] for file in loaded if "/src/hydro_" in file}
-    context = multiprocessing.get_context(
-        "fork"
-    )  # the packages are imported once; nothing runs yet that it would break
-    with ProcessPoolExecutor(min(PROCESSES, len(os.sched_getaffinity(0))), context) as pool:
+    context = multiprocessing.get_context("fork")  # the packages are imported once
+    with ProcessPoolExecutor(min(4, len(os.sched_getaffinity(0))), context) as pool:  # each takes half a gigabyte
         futures = {pool.submit(call): name for name, call in kernels.items()}
         try:
             for done, future in enumerate(as_completed(futures), 1):
                 future.result()
                 print(f"{done} of {len(futures)}: {futures[future]}", flush=True)
-        except BaseException:  # what has begun would be waited for, and what has not, be done
-            pool.shutdown(wait=False, cancel_futures=True)
+        finally:  # after a failure what has begun would be waited for, and what has not, be done
             for child in multiprocessing.active_children():
                 child.kill()
-            raise
-    part = stamp.with_suffix(".part")
-    part.write_text(json.dumps({"machine": machine, "sources": sources}))
-    part.replace(stamp)
+    stamp.write_text(json.dumps({"machine": machine, "sources": sources}))
 
 
 if __name__ == "__main__":

@@ -15,6 +15,7 @@ import time
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 from setup import environment
 from setup.environment import PYTHON, ROOT, VENV, SetupError
@@ -25,7 +26,7 @@ STAMPS = {
     "checks": VENV / "hydro-checks.stamp",
     "build": INSTALL / "hydro-build.stamp",
 }
-"""Each goes with the folder that its step fills."""
+"""Each goes with the folder that its step fills; one that was cut short equals no digest."""
 KERNELS = ROOT / "src" / "hydro_sim" / "hydro_sim" / "__pycache__"
 """Of the stamps of kernels: with this folder their caches go."""
 PINS = [ROOT / f"{name}.txt" for name in ("constraints", "requirements", "requirements-build", "requirements-ros",
@@ -84,11 +85,8 @@ def _make(ros: Path | None, needed: Mapping[str, str], kernels: str) -> None:
         fetching = environment.with_pip_configuration(fetching)
     if "wheels" in needed:
         brought = ros and not subprocess.run([PYTHON, "-c", "import colcon_core, colcon_ros"], check=False).returncode
-        files = [
-            *([] if ros else ["-r", "requirements-ros.txt"]),
-            *([] if brought else ["-r", "requirements-build.txt"]),
-        ]
-        install("wheels to build with", "numpy", *files)
+        files = ([] if ros else ["requirements-ros.txt"]) + ([] if brought else ["requirements-build.txt"])
+        install("wheels to build with", "numpy", *(word for file in files for word in ("-r", file)))
         if ros is None:
             environment.adapt_wheels()
     with ThreadPoolExecutor(1) as beside:
@@ -102,17 +100,17 @@ def _make(ros: Path | None, needed: Mapping[str, str], kernels: str) -> None:
                     builds.append(beside.submit(_run, title, command, building))
             if "wheels" in needed:
                 install("wheels of all programs", "-r", "requirements.txt")
-                _stamp("wheels", needed)
+                STAMPS["wheels"].write_text(needed["wheels"])
             if "checks" in needed:
                 install("wheels of checks and tests", "-r", "requirements-dev.txt")
-                _stamp("checks", needed)
+                STAMPS["checks"].write_text(needed["checks"])
             for box in builds[:1]:
                 box.result()
             if "kernels" in needed:
                 _compile(needed["kernels"], kernels, building)
             for packages in builds[1:]:
                 packages.result()
-                _stamp("build", needed)
+                STAMPS["build"].write_text(needed["build"])
         finally:
             beside.shutdown(wait=False, cancel_futures=True)
 
@@ -189,38 +187,18 @@ def say(line: str) -> None:
 
 
 def _run(title: str, command: Sequence[str], variables: Mapping[str, str]) -> None:
-    """Run a command in the checkout; its output goes to a log, whose newest line a terminal shows meanwhile.
+    """Run a command in the checkout; its output goes to a log.
 
     Raises SetupError if it exits other than 0; the sentence quotes what went wrong and names the log.
     """
     log, began = WORK / f"{title.replace(' ', '-')}.log", time.monotonic()
     say(f"{title} ...")
     with log.open("wb") as out:
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=out, stderr=subprocess.STDOUT, env=variables, cwd=ROOT
-        )
-        try:
-            while process.poll() is None:
-                time.sleep(0.2)
-                if sys.stdout.isatty():
-                    newest = f"{title}: {(_lines(log) or [''])[-1]}"
-                    print(f"\r{newest[: shutil.get_terminal_size().columns - 1]}\x1b[K\r", end="", flush=True)
-        except BaseException:
-            process.terminate()
-            process.wait()
-            raise
+        how: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": out, "stderr": subprocess.STDOUT, "cwd": ROOT}
+        process = subprocess.run(command, env=dict(variables), check=False, **how)
     if process.returncode != 0:
-        errors = [line for line in _lines(log) if line.lower().startswith(("error", "fatal", "cmake error"))]
-        quoted = (errors or _lines(log) or ["no output"])[-1][:300].rstrip(".")
+        lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
+        errors = [line for line in lines if line.lower().startswith(("error", "fatal", "cmake error"))]
+        quoted = (errors or lines or ["no output"])[-1][:300].rstrip(".")
         raise SetupError(f"{title} failed: {quoted}. Run this again, which goes on here; the whole output is in {log}.")
     say(f"{title}: {time.monotonic() - began:.0f} s")
-
-
-def _lines(log: Path) -> list[str]:
-    return [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
-
-
-def _stamp(name: str, needed: Mapping[str, str]) -> None:
-    part = STAMPS[name].with_suffix(".part")  # one that was cut short cannot be taken for a whole one
-    part.write_text(needed[name])
-    part.replace(STAMPS[name])
