@@ -43,6 +43,5 @@ setup(
             "export_c = hydro_core.process.startup:main_of.hydro_policy.sac.header",
             "override = hydro_core.process.startup:main_of.hydro_policy.nodes.override",
         ],
-        "gymnasium.envs": ["__root__ = hydro_policy.env:register"],
     },
 )

@@ -280,9 +280,7 @@ class ScheduledMetric:
         path = path or shipped_metric()
         tensors, header = weights.load(path)
         if header.get("structure") != STRUCTURE:
-            raise WeightsError(
-                f"{path} has structure {header.get('structure')!r}, not a metric's: `learn_metric` makes one"
-            )
+            raise WeightsError(f"{path} holds no metric: `learn_metric` makes one")
         try:
             provenance, other = parse_provenance(header), header.get(SECOND_METRIC_KEY)
             another = None if other is None else cls._of(tensors, other, provenance, f"{SECOND_METRIC_KEY}.")
@@ -299,16 +297,12 @@ class ScheduledMetric:
         coordinates, gains = tuple(str(name) for name in header["coordinates"]), arrays["gains"]
         width, thresholds = len(coordinates), Thresholds(**header["thresholds"])
         floor, c_1 = float(header["floor"]), float(header["velocity_compensation"])
-        if width < LOOP_SIZE:
-            raise InvalidTensorError(f"{width} coordinates are fewer than the {LOOP_SIZE} of every loop")
-        if not 0.0 <= c_1 <= 1.0:
-            raise InvalidTensorError(f"velocity_compensation is {c_1:g}: it is a share")
         check_shapes(arrays, {"table": (len(gains) + 1, width * (width + 1) // 2)})
         check(thresholds)
-        if gains.ndim != 1 or not (np.diff(gains) > 0.0).all():
-            raise InvalidTensorError("gains do not rise")
-        if not 0.0 < floor < MAX_MAGNITUDE:
-            raise InvalidTensorError(f"floor is {floor:g}: M is definite for a floor above 0 only")
+        if width < LOOP_SIZE or not (
+            0.0 <= c_1 <= 1.0 and 0.0 < floor < MAX_MAGNITUDE and (np.diff(gains) > 0.0).all()
+        ):
+            raise InvalidTensorError("coordinates, gains, floor or velocity_compensation are not those of a metric")
         return cls(
             floor=floor, thresholds=thresholds, coordinates=coordinates, training=dict(header["training"]),
             provenance=provenance, velocity_compensation=c_1, gains=gains, table=arrays["table"],

@@ -6,7 +6,7 @@ from launch.actions import DeclareLaunchArgument
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import Node
 
-from hydro_core.cli.launch_arguments import refuse_unknown_arguments
+from hydro_bridge.ros.launch_arguments import refuse_unknown_arguments
 
 
 def generate_launch_description() -> LaunchDescription:

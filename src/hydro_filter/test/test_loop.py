@@ -115,14 +115,6 @@ def test_what_the_loop_has_no_place_for_is_refused_in_a_sentence(tmp_path: Path)
     filter_record(read, ALL, NOMINAL)
 
 
-def test_what_is_compiled_hangs_on_the_effects_and_not_on_their_numbers(capfd: pytest.CaptureFixture[str]) -> None:
-    make_loop(having(LAG, LEAK), NOMINAL)
-    capfd.readouterr()
-    other = having(effect("valve_lag", bandwidth=90.0, damping=0.8), effect("leakage_internal", coefficient=2e-13))
-    make_loop(other, replace(NOMINAL, spring_stiffness=3e4))
-    assert "compiling" not in capfd.readouterr().err
-
-
 def test_bristles_bend_by_the_motion_that_was_measured() -> None:
     """Closed form of a steady motion, although the forces at hand would throw the mass off within a sample."""
     coulomb, breakaway, width, stiffness, speed, count = 12.0, 45.0, 0.01, 5e5, 1e-3, 100
@@ -287,14 +279,6 @@ def test_the_loops_eigenvalues_are_those_of_the_whole_bench_under_the_law(case: 
     assert np.abs(slow[:, None] - theirs).min(axis=1).max() < 2e-3
     moving = theirs[np.abs(theirs.imag) > 1e-2]
     assert np.abs(moving[:, None] - ours).min(axis=1).max() < 2e-3
-
-
-def test_with_two_milliseconds_and_this_valve_no_gain_decays() -> None:
-    """The whole bench does not, either: no metric of it exists."""
-    assert min(np.abs(np.linalg.eigvals(whole_loop(CASES["2 ms"], gain))).max() for gain in (1, 10, 90)) > 1.02
-    metric.require_stable_gain(make_loop(CASES["1 ms"], NOMINAL))
-    with pytest.raises(ValueError, match=r"2.3 ms of valve lag and 2.0 ms of dead time, decays at no K_p"):
-        metric.require_stable_gain(make_loop(CASES["2 ms"], NOMINAL))
 
 
 def run(bench: Bench, gain: float, *, noise: float = 0.0, seconds: float = 0.7, amplitude: float = 100.0) -> StateArray:

@@ -3,9 +3,9 @@
 
 ::
 
-    env = gymnasium.make("hydro/ForceControl-v0", law="wide", randomise=True)
-    envs = gymnasium.make_vec("hydro/ForceControl-v0", num_envs=8)          # one compiled loop over all benches
-    env.unwrapped.save_policy(model, "policy.safetensors")                  # for deployment
+    env = gymnasium.make("hydro_policy.env:hydro/ForceControl-v0", law="wide", randomise=True)
+    envs = gymnasium.make_vec("hydro_policy.env:hydro/ForceControl-v0", num_envs=8)  # one compiled loop over all
+    env.unwrapped.save_policy(model, "policy.safetensors")                           # for deployment
 
 Observations, actions, rewards and terminations are those of trainer and pretraining (`task.mdp`); episodes start from
 rest. A trip terminates; 1800 steps of 10 ms truncate. Requires gymnasium, which no other module of the package imports.
@@ -134,7 +134,9 @@ class ForceControlVector(gymnasium.vector.VectorEnv[Float32Array, Float32Array, 
     def step(
         self, actions: Float32Array
     ) -> tuple[Float32Array, npt.NDArray[Any], BoolArray, BoolArray, dict[str, Any]]:
-        """Advance all benches by 10 ms; `actions`, shape (n, 2), are clamped to [-1, 1]."""
+        """Advance all benches by 10 ms; `actions`, shape (n, 2), are clamped to [-1, 1]. Raises ValueError for NaN."""
+        if np.isnan(actions).any():
+            raise ValueError("an action is not a number: the learner has diverged")
         made = self._environment.step(np.clip(np.asarray(actions, np.float64), -1.0, 1.0), restart=False)
         self._steps += 1
         observation, reward, terminated = made.next_observation.astype(np.float32), made.reward, made.terminated
@@ -202,16 +204,9 @@ class ForceControl(gymnasium.Env[Float32Array, Float32Array]):
         self.benches.save_policy(learner, path)
 
 
-def register() -> None:
-    """Register the environment, once; entry point of the group `gymnasium.envs`, which some gymnasium versions call."""
-    if ENVIRONMENT_ID in gymnasium.registry:
-        return
-    gymnasium.register(
-        ENVIRONMENT_ID,
-        f"{__name__}:{ForceControl.__name__}",
-        vector_entry_point=f"{__name__}:{ForceControlVector.__name__}",
-        max_episode_steps=TaskSettings().steps_per_episode,
-    )
-
-
-register()
+gymnasium.register(
+    ENVIRONMENT_ID,
+    f"{__name__}:{ForceControl.__name__}",
+    vector_entry_point=f"{__name__}:{ForceControlVector.__name__}",
+    max_episode_steps=TaskSettings().steps_per_episode,
+)

@@ -15,7 +15,7 @@ from launch.substitutions import LaunchConfiguration, PathJoinSubstitution
 from launch_ros.actions import Node
 from launch_ros.substitutions import FindPackageShare
 
-from hydro_core.cli.launch_arguments import refuse_unknown_arguments
+from hydro_bridge.ros.launch_arguments import refuse_unknown_arguments
 from hydro_sim.emulator.line.terminal import default_link
 
 

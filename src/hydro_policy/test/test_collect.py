@@ -7,7 +7,6 @@ import io
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,7 +25,6 @@ from hydro_policy.nodes.collect import SchedulePlan
 from hydro_policy.supervision.plant_supervisor import ARM_HINT, EARLY_ARMING_MESSAGE
 from hydro_sim.excitation import Segment
 from hydro_sim.model.bench import Bench
-from tests.checks import ran, wait
 from tests.graph_probe import Probe
 
 pytestmark = pytest.mark.usefixtures("domain")
@@ -122,25 +120,3 @@ def test_a_crash_leaves_the_plant_disarmed(plant, listener, words) -> None:
     assert process.returncode == 1
     assert not fresh(listener) & Flag.ARMED  # at once, not when the guard gives it up after 10 s
     listener.wait(lambda: references[-1].offset == 0.0)
-
-
-@pytest.mark.graph
-def test_refused_for_the_box_or_who_commands_it_or_interrupted_before_it_plays_it_leaves_no_folder(
-    plant, listener, words, tmp_path: Path
-) -> None:
-    own = replace(Bench.nominal(), spring_stiffness=2.5e4)
-    for name, bench in (("own", own), ("nominal", Bench.nominal())):
-        (tmp_path / f"{name}.yaml").write_text(yaml.safe_dump(bench.to_mapping()))
-    plant("--", "--bench", str(tmp_path / "own.yaml"))
-    refused = ran(executable_path("hydro_policy", "collect"), *words, "--bench", tmp_path / "nominal.yaml")
-    assert refused.returncode == 2 and f"the box believes {own.digest}" in refused.stderr.splitlines()[-1]
-    assert not (tmp_path / "bag").exists()
-    collect = Companion("hydro_policy", "collect", words)
-    wait(lambda: (tmp_path / "bag").exists(), 60.0)
-    assert collect.stop(30.0) == 2 and collect.last_line == "error: interrupted: nothing was played"
-    assert not (tmp_path / "bag").exists()
-    listener.take()
-    collect = Companion("hydro_policy", "collect", words)
-    listener.wait(lambda: not collect.running, 60.0)
-    assert collect.stop() == 2 and collect.last_line.startswith("error: probe commands this plant: end it")
-    assert not (tmp_path / "bag").exists()

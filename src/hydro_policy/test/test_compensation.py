@@ -11,8 +11,7 @@ import numpy as np
 import pytest
 
 from hydro_bridge.serial.protocol import BoxLaw
-from hydro_core.signals import NEUTRAL_COEFFICIENTS, CorrectionStatus, Flag, FloatArray, Law
-from hydro_filter.controller.loop_filter import Result
+from hydro_core.signals import NEUTRAL_COEFFICIENTS, Flag, FloatArray, Law
 from hydro_policy.compensation.estimator import (
     BOX_SHARE,
     INITIAL_COEFFICIENTS,
@@ -23,7 +22,6 @@ from hydro_policy.compensation.estimator import (
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.controllers import Compensated
 from hydro_policy.supervision.override import GainOverride
-from hydro_policy.supervision.plant_supervisor import MISMATCH_MESSAGE
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import OfflineGraph
@@ -115,16 +113,6 @@ def test_what_a_load_takes_that_yields_is_found_and_goes_out_ahead() -> None:
     plain._constants.weights[8:] = 1e6
     without, left = (np.sqrt(np.mean(missed(each, added) ** 2)) for each in (plain, known))
     assert known._constants.plays[1] == 150.0 and left < 0.5 * without
-
-
-def test_what_the_box_is_not_told_of_a_2_goes_out_ahead_within_a_3() -> None:
-    compensator, w = Compensator(), OMEGA * 1.5
-    for k in range(800):
-        compensator.step(*polynomial(times(k)), ACTIVE, 100.0 * w * np.cos(w * times(k)))
-        second = -100.0 * w * w * np.sin(w * (times(k)[0, -1] + 0.01))
-        if k > 600:
-            rest = (1.0 - BOX_SHARE) * TRUE[2] * second
-            np.testing.assert_allclose(compensator.coefficients[0, 3], TRUE[3] + rest, atol=0.15)
 
 
 @pytest.mark.parametrize(
@@ -266,23 +254,6 @@ def test_gains_held_by_a_person_are_those_of_the_law_that_acts_which_does_not_ch
         assert set(graph.gained) == {(int(law), change)}
     graph.run(session, 30.0, compensation=live)
     assert session.finished and session.scores[1].controller == "compensated" and not session.scores[1].stopped
-
-
-def test_under_mismatch_the_law_s_base_gains_hold_and_its_run_begins_again(start) -> None:
-    live, graph, session = start()
-    graph.run(session, 2.5, compensation=live)
-    assert graph.armed[-1] == (True, Law.COMPENSATED)
-    fits, graph.answer = graph.answer, Result.uncorrected(CorrectionStatus.MISMATCH)
-    graph.gained.clear()
-    graph.run(session, 2.0, compensation=live)
-    assert set(graph.gained) == {(int(Law.COMPENSATED), 0.0)} and not session.scores
-    assert session.supervisor.summary == "armed, waiting for a filter that fits" and MISMATCH_MESSAGE in graph.sentences
-    graph.answer = fits
-    graph.run(session, 1.0, compensation=live)
-    assert not session.scores, "from its beginning"
-    graph.run(session, 10.0, compensation=live)
-    (score,) = session.scores
-    assert not score.stopped and score.held == 0 and not session.warnings
 
 
 def test_a_plant_that_does_not_take_up_the_law_ends_its_runs(start) -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -27,6 +28,7 @@ from hydro_policy.task.mdp import OBSERVATION_SIZE, TaskSettings, events
 from hydro_sim.files.pairing import BoxIdentity, mismatch, read_provenance
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
+from tests.checks import ran
 
 TOO_HIGH = {"amplitude": 900.0, "frequency": 1.0}
 """N, above the box's limit: it trips within some steps."""
@@ -38,6 +40,15 @@ def test_checkers_of_gymnasium_and_stable_baselines3_pass(law: str) -> None:
     environment = gymnasium.make(ENVIRONMENT_ID, law=law, randomise=law == "wide")
     check_env(environment.unwrapped)
     check_for_baselines(environment.unwrapped)
+
+
+def test_the_environment_is_made_by_its_module_and_refuses_an_action_that_is_no_number() -> None:
+    code = 'import gymnasium; gymnasium.make("hydro_policy.env:hydro/ForceControl-v0").reset(seed=1)'
+    assert ran(sys.executable, "-c", code).returncode == 0
+    environment = gymnasium.make(ENVIRONMENT_ID)
+    environment.reset(seed=1)
+    with pytest.raises(ValueError, match="an action is not a number"):
+        environment.step(np.array([np.nan, 0.0], np.float32))
 
 
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep"])

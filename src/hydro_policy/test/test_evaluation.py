@@ -63,6 +63,8 @@ def test_an_emulated_plant_tells_the_error_of_the_force_on_the_specimen(tmp_path
     trace.states["sequence"][2] = 9  # not kept any more
     lost = score(trace, 0, specimen_force=load_force.read_forces(tmp_path / "load_force", trace.states["sequence"]))
     assert math.isnan(lost.true_rmse)
+    with pytest.raises(OSError, match="/dev/full"):  # where no block can be reserved, at once and by name
+        load_force.create_ring(Path("/dev/full"))
 
 
 @pytest.mark.parametrize(

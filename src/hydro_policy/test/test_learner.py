@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import os
 import signal
-import time
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from hydro_policy.learner_process.learner import compile_updates
-from hydro_policy.learner_process.supervisor import SETTLE_TIMEOUT, LearnerError, LearnerSupervisor
+from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, load_checkpoint
 from hydro_policy.sac.policy import load_policy
 from hydro_policy.sac.sac import Sac, dump, restore
@@ -120,21 +119,6 @@ def test_a_learner_that_hangs_is_waited_for_by_nobody_and_the_last_checkpoint_is
     learner.stop({"episode": 200})
     assert not learner.alive
     assert load_checkpoint(run.latest).trainer == {"episode": 200}
-
-
-def test_under_the_plants_clock_a_checkpoint_that_cannot_be_written_is_told_at_once(run: RunDirectory) -> None:
-    learner = LearnerSupervisor(SETTINGS, run)
-    wait(lambda: learner.ready)
-    learner.synchronous = True
-    assert learner.save({"episode": 1}) and learner.checkpoints == 1, "written on return"
-    run.latest.with_name("latest.partial").touch()  # in its way
-    begin = time.monotonic()
-    assert learner.save({"episode": 2}) and learner.checkpoints == 1
-    assert time.monotonic() - begin < SETTLE_TIMEOUT
-    with pytest.raises(LearnerError, match="no checkpoint can be written"):
-        learner.restart_if_dead()
-    with pytest.raises(LearnerError, match="no checkpoint can be written"):
-        learner.stop({"episode": 2})
 
 
 def test_learner_that_keeps_dying_is_given_up(run: RunDirectory) -> None:

@@ -63,7 +63,8 @@ def test_command_trains_on_a_bench_with_hidden_states_and_writes_agent_policy_an
     assert [row["episode"] for row in json.loads(table.read_text())["rows"]] == ["fixed (90, 15)", "2"]
     again = pretrain("--out", run)
     assert again.returncode == 2 and "holds a run already" in again.stderr
-    told_again = pretrain("--resume", run, *words)
-    assert told_again.returncode == 2 and "leave out --model" in told_again.stderr
-    done = pretrain("--resume", run, "--episodes", "2")
+    for word, other in (("--model", "analytic"), ("--steps", "61"), ("--configuration", "paper"), ("--seed", "1")):
+        refused = pretrain("--resume", run, word, other)
+        assert refused.returncode == 2 and f"{word} {other} is not the run's" in refused.stderr
+    done = pretrain("--resume", run, "--configuration", "wide", *words)
     assert done.returncode == 0, done.stderr

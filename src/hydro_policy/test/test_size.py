@@ -10,19 +10,14 @@ import pytest
 
 from hydro_bridge.safety.guard_settings import GuardSettings
 from hydro_core.bench_scales import rescale
-from hydro_core.signals import Command, CorrectionStatus, Flag, FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import CorrectionStatus, FloatArray, ReferenceSignal, Waveform
 from hydro_filter.controller.loop_filter import loop_filter
-from hydro_filter.metric import MetricDesign, ScheduledMetric
-from hydro_filter.model.loop import make_loop
-from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
-from hydro_policy.compensation.residual import Network, Residual
-from hydro_policy.envs import vector_runs
-from hydro_policy.envs.vector_env import VectorBench
+from hydro_filter.metric import ScheduledMetric
+from hydro_policy.compensation.estimator import CompensatorSettings
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run_directory import TrainingSettings
-from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp.events import Randomisation
-from hydro_sim.box.box import Box, BoxConfig
+from hydro_sim.box.box import BoxConfig
 from hydro_sim.excitation import ExcitationRange
 from hydro_sim.model.bench import NOMINAL, Bench
 from hydro_sim.model.plant import AnalyticPlant
@@ -98,43 +93,3 @@ def test_the_filter_corrects_a_similar_bench_alike() -> None:
         np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-8)
         assert also_told == told and CorrectionStatus.MISMATCH not in told
     assert np.abs(here).max() > 1e-3 and CorrectionStatus.MODIFIED in told
-
-
-def flags(bench: Bench) -> list[int]:
-    """Of a box under load forces about the limit, disarmed at first and in between."""
-    told, box = [], Box(bench, BoxConfig().of_bench(bench))
-    for number, force in enumerate((0.0, 2.0, 2.34, 2.4, 2.4, 2.45, 2.46, 2.47)):
-        measurement = AnalyticPlant(bench, noise=0.0).reset(0)
-        measurement[2] = force * bench.size.force
-        box.receive(Command(arm=number not in (0, 3)), 1e-3 * number)
-        told.append(int(box.tick(measurement, 1e-3 * number)["flags"]))
-    return told
-
-
-def test_the_box_of_a_similar_bench_trips_and_recovers_alike() -> None:
-    """Beyond the limit, after the second arming within what the box grants, then beyond that."""
-    assert flags(ONE) == flags(OTHER)
-    assert [bool(each & Flag.TRIPPED) for each in flags(ONE)] == [False, False, True, False, False, False, False, True]
-
-
-def tracked(bench: Bench) -> FloatArray:
-    """Load forces over the bench's, under the compensated law with its learned residual, shape (8000,)."""
-    size, box = bench.size, BoxConfig().of_bench(bench)
-    settings = EvaluationSettings(frequencies=(1.0,), measure=6.0, amplitude=size.force)
-    fleet = VectorBench([bench], [AnalyticPlant(bench, settings=Sensors.of_size(size))], box)
-    estimator = Compensator(settings=rescale(CompensatorSettings(), NOMINAL, size), law=box.compensated)
-    residual = Residual(1, Network.load(), estimator.settings.force_scale)
-    steps = vector_runs.run(fleet, settings.cases, lambda _: np.zeros((1, 2)), settings, 7, estimator, residual)
-    return np.concatenate([step.samples["load_force"][0].copy() for step in steps]) / size.force
-
-
-def test_the_compensated_law_and_its_residual_track_alike() -> None:
-    here, there = map(tracked, WITH_EFFECTS)
-    assert np.abs(here).max() > 0.9
-    np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-9)
-
-
-def test_the_metric_of_a_similar_bench_is_the_same_table() -> None:
-    loops = (make_loop(bench, bench) for bench in WITH_EFFECTS)
-    here, there = (ScheduledMetric.from_design(loop, MetricDesign()).table for loop in loops)
-    np.testing.assert_allclose(there, here, rtol=1e-6, atol=1e-6 * float(np.abs(here).max()))

@@ -19,7 +19,6 @@ from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, 
 from hydro_filter.metric import ScheduledMetric, shipped_metric
 from hydro_sim.files import learned_bench
 from hydro_sim.files.pairing import BoxIdentity, mismatch, raise_if_mismatched
-from hydro_sim.files.weights import WeightsError
 from hydro_sim.model.bench import Bench
 
 SHIPPED_METRIC = "learned"
@@ -64,12 +63,8 @@ class FilterChoice:
 
     def describe(self) -> dict[str, str]:
         """Return the files with digests and the certified gains as text by name, for logs and /diagnostics."""
-        told = {}
-        for name, path in self.files.items():
-            try:
-                told[name] = f"{path.name}, sha256 {hashlib.sha256(path.read_bytes()).hexdigest()[:12]}"
-            except OSError as error:
-                raise WeightsError(f"{path} cannot be read as weights: {error.strerror}") from None
+        digests = {name: hashlib.sha256(path.read_bytes()).hexdigest() for name, path in self.files.items()}
+        told = {name: f"{path.name}, sha256 {digests[name][:12]}" for name, path in self.files.items()}
         ranges = ((one.velocity_compensation, one.gains) for one in self.stored_metric.all_metrics)
         certified = (f"K_p {gains[0]:g} to {gains[-1]:g} 1/s at C_1 = {c_1:g}" for c_1, gains in ranges)
         return {**told, "certified": ", ".join(certified)}

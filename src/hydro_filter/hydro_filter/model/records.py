@@ -23,9 +23,8 @@ import numpy.typing as npt
 from numba import types
 from numba.extending import intrinsic
 
-from hydro_core.settings import SettingsError
 from hydro_core.signals import FloatArray
-from hydro_sim.box.firmware import DOUBLE_STRUCTURES, RecordArray, address_of, library_path
+from hydro_sim.box.firmware import DOUBLE_STRUCTURES, RecordArray, address_of, declare, library_path
 from hydro_sim.model.machine_code import declare_call
 from hydro_sim.model.plant import STATES_MAX
 
@@ -129,18 +128,8 @@ def library() -> ctypes.PyDLL:
         "hydro_c_filter_gradient": (None, [pointer, pointer, pointer]),
         "hydro_c_closed_form": (number, [number] * 4 + [pointer]),
     }
-    sizes = (count * 5)()
-    try:
-        for name, (result, arguments) in declared.items():
-            function = getattr(code, name)
-            function.restype, function.argtypes = result, arguments
-        code.hydro_c_filter_sizes(sizes)
-    except AttributeError:
-        pass
-    if list(sizes) != [
-        kind.itemsize for kind in (FILTER_DTYPE, FILTER_STATE_DTYPE, MONITOR_DTYPE, SAMPLE_DTYPE, DECISION_DTYPE)
-    ]:
-        raise SettingsError("the built firmware is of another version: run `make setup`")
+    kinds = (FILTER_DTYPE, FILTER_STATE_DTYPE, MONITOR_DTYPE, SAMPLE_DTYPE, DECISION_DTYPE)
+    declare(code, declared, "hydro_c_filter_sizes", kinds)
     return code
 
 

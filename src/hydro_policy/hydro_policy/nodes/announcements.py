@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""User messages of a node and its companion processes on terminal and log; supervision of the companions."""
+"""User messages of a node and its companion processes on terminal and log; typed lines; supervision of companions."""
 
 from __future__ import annotations
 
 import math
+import queue
 import re
 import signal
+import sys
+import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -78,6 +81,20 @@ def companion_output(keep: Callable[[str], None]) -> Callable[[str], None]:
             print_above_progress(line)
 
     return take
+
+
+def terminal_lines() -> queue.SimpleQueue[str]:
+    """Return a queue of the lines typed on the terminal from now on; it stays empty without a terminal."""
+    lines: queue.SimpleQueue[str] = queue.SimpleQueue()
+
+    def read() -> None:
+        with suppress(OSError, ValueError):  # the terminal was closed
+            for line in sys.stdin:
+                lines.put(line)
+
+    if sys.stdin is not None and sys.stdin.isatty():
+        threading.Thread(target=read, daemon=True).start()
+    return lines
 
 
 @dataclass

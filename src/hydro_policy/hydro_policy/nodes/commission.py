@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+from hydro_bridge.bags import RecordingError
 from hydro_bridge.bags.recording import read_bag, read_messages
-from hydro_bridge.bags.types import RecordingError
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import running_ros
 from hydro_bridge.ros.topics import BOX, BOX_LAW, DIAGNOSTICS, STATE
@@ -75,15 +75,6 @@ class Gate:
     recordings: tuple[str, ...] = ()  # recordings of the site that it reads and writes
 
 
-def read_json(path: Path) -> dict[str, Any]:
-    """Read a JSON file of results. Raises GateError: the file is missing or damaged."""
-    try:
-        content: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise GateError(f"{path} cannot be read: {error}") from None
-    return content
-
-
 def link(at: Site) -> str:
     """Gate of the link: conformance and ten seconds at rest, for rate, loss, latency, the box's bench and laws."""
     report = at.folder / site.REPORTS_FOLDER / "conformance.json"
@@ -94,7 +85,8 @@ def link(at: Site) -> str:
     except GateError:
         if not report.is_file():
             raise
-    wrong = [f"{row['case']}: {row['found']}" for row in read_json(report)["rows"] if row["result"] == "FAIL"]
+    rows = json.loads(report.read_text(encoding="utf-8"))["rows"]
+    wrong = [f"{row['case']}: {row['found']}" for row in rows if row["result"] == "FAIL"]
     if wrong:
         raise GateError("the box does not keep the protocol: " + "; ".join(wrong))
     at.record_rest(REST_RECORDING, REST_TIME)
@@ -174,7 +166,7 @@ def diagnosis(at: Site) -> str:
     training, held_out = (str(at.recording(name)) for name in ("training", "held_out"))
     words = (training, "--holdout", held_out, "--bench", str(at.bench), "--out", str(out), "--quiet")
     at.run("hydro_diagnosis", "diagnose", *words)
-    report = read_json(out / "report.json")
+    report = json.loads((out / "report.json").read_text(encoding="utf-8"))
     at.record.causes = report["effects"]
     if report["verdict"] == "unknown":
         places = "; ".join(place["sentence"] for place in report["location"])
@@ -303,10 +295,7 @@ def _tracking_rmse(at: Site, name: str, settings: EvaluationSettings, share: flo
 
 
 def _states(folder: Path) -> StateArray:
-    try:
-        return read_bag(folder, (STATE,)).state
-    except RecordingError as error:
-        raise GateError(str(error)) from None
+    return read_bag(folder, (STATE,)).state
 
 
 def _armed(folder: Path) -> StateArray:
@@ -375,7 +364,7 @@ def main() -> int:
                 result.reason, result.status = gate.run(at), PASSED
             except GateSkipped as skipped:
                 result.reason, result.status = str(skipped), SKIPPED
-            except (GateError, NotReadyError, CompanionError, PairingError) as error:
+            except (GateError, NotReadyError, CompanionError, PairingError, RecordingError) as error:
                 result.reason, result.status = str(error), FAILED
             result.seconds = round(time.monotonic() - began, 1)
             recordings = (f"{site.RECORDINGS_FOLDER}/{name}" for name in gate.recordings)
@@ -394,7 +383,7 @@ def main() -> int:
 def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
     """Store plant and bench file in the site, or refuse others than its own; returns whether the amplitude changed."""
     plant = options.plant or options.port or record.plant
-    if not plant:
+    if not plant or options.port == "":
         raise UserError("which bench? Name its --port, or --plant emulator")
     if EMULATED_PLANT in (record.plant, plant) and record.plant not in ("", plant):
         raise UserError(f"{folder} is the site of {record.plant}, not of {plant}: name another --site")
@@ -414,8 +403,6 @@ def _take(options: argparse.Namespace, folder: Path, record: Record) -> bool:
         folder.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(given, own)
     if options.truth:
-        if not options.truth.is_file():
-            raise UserError(f"--truth {options.truth}: there is no such file")
         shutil.copyfile(options.truth, folder / TRUTH_FILE)
     (folder / site.REPORTS_FOLDER).mkdir(exist_ok=True)
     before, record.plant, record.amplitude = record.amplitude, plant, options.amplitude or record.amplitude

@@ -90,10 +90,7 @@ def evaluation_folder(options: argparse.Namespace) -> Iterator[RunDirectory]:
     if options.resume and not run.record.is_file():
         raise UserError(f"{run.path} holds no evaluation to resume: there is no {run.record.name}")
     if not options.resume:
-        try:
-            run.path.mkdir(parents=True)
-        except FileExistsError:
-            raise FileExistsError(f"{run.path} is there already: choose another --name") from None
+        run.path.mkdir(parents=True)
     before = run.recordings
     try:
         yield run

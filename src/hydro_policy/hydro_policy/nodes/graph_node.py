@@ -60,7 +60,6 @@ from hydro_bridge.safety.lease import DISARMED_BY_PERSON
 from hydro_bridge.safety.readiness import NotReadyError, Readiness, Requirement
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.bench_scales import BenchScales
-from hydro_core.cli.console import terminal_lines
 from hydro_core.process import termination
 from hydro_core.process.realtime import Latency, drop_realtime
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, ReferenceSignal
@@ -69,7 +68,7 @@ from hydro_msgs.msg import PolicyStep
 from hydro_msgs.srv import OverrideGains
 from hydro_policy.compensation.live import LiveCompensation
 from hydro_policy.evaluation.runner import Session
-from hydro_policy.nodes.announcements import Announcer, CompanionWatch
+from hydro_policy.nodes.announcements import Announcer, CompanionWatch, terminal_lines
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor

@@ -31,11 +31,19 @@ PLANTS = ("sim", "emulator", "bench", "external")
 NO_FILTER_WORDS = ("none",)  # words of `--filter none`
 LAWS = ("both", "paper", "compensated")  # values of `evaluate --law`
 SCRATCH = "scratch"  # value of `--from` for no agent, besides a run's folder
+BEGUN = ("start", "configuration")  # options that a resumed run has from its beginning
+SITE_OPTIONS = {"bench", "base_gains", "filter", "model"}  # those that --site replaces
 
 
 def _option(*only: str, **words: Any) -> tuple[tuple[str, ...], dict[str, Any]]:
     """Return the plants that an option goes with, if not with all, and its words for `add_argument`."""
     return only, words
+
+
+def _device(text: str) -> str:
+    if not text.strip():
+        raise argparse.ArgumentTypeError("the port's name is empty: give the device, as in --port /dev/ttyUSB0")
+    return text
 
 
 # fmt: off
@@ -46,7 +54,7 @@ class PlantOptions:
     plant: Annotated[str, _option(choices=PLANTS, default="external",
         help="start the other nodes, too: sim (sim with filter, recorder), emulator (emulator, bridge with filter, "
         "recorder), bench (bridge with filter, recorder), or external: they run already (default)")]
-    port: Annotated[str | None, _option("bench", "emulator", metavar="PATH",
+    port: Annotated[str | None, _option("bench", "emulator", type=_device, metavar="PATH",
         help="serial port of the bench (default: the bridge's)")] = None
     truth: Annotated[Path | None, _option("emulator", type=Path, metavar="FILE",
         help="YAML of what the emulated bench is made of")] = None
@@ -108,24 +116,36 @@ def add_option(parser: argparse._ActionsContainer, name: str) -> None:
     parser.add_argument("--" + name.replace("_", "-"), **_OPTIONS[name][1])
 
 
+def as_stored(value: Any) -> Any:
+    """Return the value of an option as stored in YAML, the path of an existing file as an absolute one."""
+    stored = isinstance(value, list | int)
+    return value if stored else str(Path(value).absolute() if os.path.exists(value) else value)
+
+
 def plant_options_as_yaml(options: argparse.Namespace) -> dict[str, Any]:
-    """Return the plant options as stored in YAML, with absolute paths."""
-    words = {name: value for name in _OPTIONS if (value := getattr(options, name))}
-    return {
-        name: value if isinstance(value, list) else str(Path(value).absolute() if os.path.exists(value) else value)
-        for name, value in words.items()
-    }
+    """Return the plant options as stored in YAML, with those of `BEGUN`."""
+    return {name: as_stored(value) for name in (*_OPTIONS, *BEGUN) if (value := getattr(options, name))}
 
 
-def restore_plant_options(result: argparse.ArgumentParser, run: RunDirectory, said: Mapping[str, Any]) -> None:
-    """Make a run's original plant options, if they were saved, the defaults, unless another plant is requested."""
-    plant = read_yaml(run.config).get("plant")
+def restore_options(result: argparse.ArgumentParser, run: RunDirectory, said: Mapping[str, Any]) -> None:
+    """Make a run's original options, if they were saved, the defaults; those of its plant unless another is requested.
+
+    Raises UserError: one that a resumption cannot change has another value. `said`: the options given explicitly.
+    """
+    seed, plant = run.load_settings().seed, read_yaml(run.config).get("plant")
     plant = plant if isinstance(plant, dict) else {}
+    own = {"seed": seed, "runs": as_stored(run.path.parent), "name": run.path.absolute().name}
+    own |= {name: plant.get(name, "the default") for name in BEGUN}
+    for name in own.keys() & said.keys():
+        if as_stored(said[name]) != own[name]:
+            word = "--from" if name == "start" else f"--{name}"
+            raise UserError(f"{word} {said[name]} is not the run's, {own[name]}: omit it, or begin another run")
+    retained = {*BEGUN}
     if said.get("plant", plant.get("plant")) == plant.get("plant"):
-        files = {name for name, (_, option) in _OPTIONS.items() if option.get("type") is Path}
-        retained = {name: value for name, value in plant.items() if name in _OPTIONS}
-        words = {name: Path(value) if name in files else value for name, value in retained.items()}
-        result.set_defaults(**words)
+        retained |= _OPTIONS.keys() - (SITE_OPTIONS if "site" in said else set())
+    files = {"start", *(name for name, (_, option) in _OPTIONS.items() if option.get("type") is Path)}
+    words = {name: Path(value) if name in files else value for name, value in plant.items() if name in retained}
+    result.set_defaults(**words)
 
 
 def apply_site(options: argparse.Namespace) -> None:

@@ -21,13 +21,13 @@ from hydro_bridge.ros.companion import Companion, RecorderMonitor
 from hydro_bridge.ros.node import leave_graph
 from hydro_bridge.safety.guard import LAW_NOT_OFFERED_MESSAGE
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
-from hydro_core.cli.console import UserError, print_above_progress, terminal_lines
+from hydro_core.cli.console import UserError, print_above_progress
 from hydro_core.files import site
 from hydro_policy.commissioning.record import GateError, Record
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.runner import Rest, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.nodes.announcements import CompanionWatch, companion_output
+from hydro_policy.nodes.announcements import CompanionWatch, companion_output, terminal_lines
 from hydro_policy.nodes.evaluation import compare_on, report_results, required_gain_range
 from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.plant_options import NO_FILTER_WORDS, PlantOptions, box_mismatch

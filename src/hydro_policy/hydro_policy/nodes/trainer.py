@@ -13,8 +13,8 @@ from pathlib import Path
 from hydro_bridge.ros.companion import CompanionError
 from hydro_bridge.ros.node import ros_arguments, running_ros
 from hydro_bridge.safety.readiness import NotReadyError
-from hydro_core.cli.console import command, explicit_options, make_parser, refuse_on_resume
-from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_site, restore_plant_options
+from hydro_core.cli.console import command, explicit_options, make_parser
+from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_site, restore_options
 from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run_directory import RunDirectory
 
@@ -83,10 +83,7 @@ def parse_options(words: Sequence[str]) -> argparse.Namespace:
         result.set_defaults(**DEMO_OPTIONS)
     options = result.parse_args(words)
     if options.resume is not None:
-        run = RunDirectory(options.resume)
-        run.load_settings()  # refuse a folder without a run first
-        refuse_on_resume(parser(), words, ("start", "configuration", "seed", "runs", "name"))
-        restore_plant_options(result, run, explicit_options(parser(), words))
+        restore_options(result, RunDirectory(options.resume), explicit_options(parser(), words))
         options = result.parse_args(words)
     apply_site(options)
     return options

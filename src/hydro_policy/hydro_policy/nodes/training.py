@@ -10,9 +10,6 @@ from contextlib import closing
 from dataclasses import replace
 from datetime import datetime
 from functools import partial
-from pathlib import Path
-
-import numpy as np
 
 from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
@@ -46,12 +43,12 @@ from hydro_policy.runs.digest import platform_description, run_digest
 from hydro_policy.runs.initial_agent import AGENT_FILE, InitialAgent, load_initial_agent, shipped_agent
 from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
+from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import ACTION_SIZE, BASE_GAINS, OBSERVATION_SIZE
-from hydro_policy.training_plan import Progress, TrainingPlan, training
+from hydro_policy.training_plan import TrainingPlan, training
 from hydro_sim.files.pairing import BoxIdentity, Provenance, mismatch, raise_if_mismatched
 from hydro_sim.model.bench import NOMINAL
 
@@ -87,7 +84,6 @@ def prepare(
         settings = start.adapt_settings(settings) if start else settings
     else:
         settings, checkpoint = run.load_settings(), load_checkpoint(run.latest)
-        check_run(run, settings, checkpoint)
     given = {name: getattr(options, name) for name in ("episodes", "updates_per_step", "seed")}
     settings = replace(settings, **{name: value for name, value in given.items() if value is not None})
     if options.seed is not None:
@@ -125,26 +121,6 @@ def prepare(
     return run, settings, checkpoint, start, made
 
 
-def check_run(run: RunDirectory, settings: TrainingSettings, checkpoint: Checkpoint) -> None:
-    """Raise ValueError, one sentence that names the damaged file, unless the run can be resumed from its folder."""
-    best = run.best / AGENT_FILE
-    agents = {run.latest / AGENT_FILE: checkpoint.learner} | ({best: best.read_bytes()} if best.is_file() else {})
-    for path, agent in agents.items():
-        try:
-            restore(Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac), agent)
-        except ValueError as error:
-            raise ValueError(f"{path} cannot be gone on from: {error}") from error
-    if checkpoint.replay.shape[1] != sum(ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, 65).widths):
-        raise ValueError(f"{run.latest / 'replay.npy'} holds transitions of {checkpoint.replay.shape[1]} numbers")
-    if not checkpoint.trainer:  # nothing had happened yet
-        return
-    try:
-        Progress(**checkpoint.trainer["progress"])
-        np.random.default_rng(0).bit_generator.state = checkpoint.trainer["random_state"]
-    except (KeyError, TypeError, ValueError) as error:
-        raise ValueError(f"{run.latest / 'trainer.json'} is damaged: {error}") from error
-
-
 def write_initial_checkpoint(run: RunDirectory, settings: TrainingSettings, start: InitialAgent | None) -> None:
     """Write the first checkpoint: the initial agent, and an empty replay buffer."""
     agent = start.agent if start else dump(Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac))
@@ -172,29 +148,6 @@ def paper_controllers(plan: TrainingPlan, start: InitialAgent | None) -> list[Co
     return controllers if start is not None else [*controllers, FixedGains(15.0, 5.0, base)]
 
 
-def print_files(
-    run: RunDirectory, recording: Path | None, finished: bool, options: argparse.Namespace, seconds: float
-) -> None:
-    """Print where each file is and what to run next."""
-    listed = [
-        ("policy", run.policy),
-        ("checkpoint", run.latest),
-        ("best agent", run.best / AGENT_FILE),
-        ("what happened", run.record),
-        ("recording", recording),
-        ("evaluation", run.evaluation),
-        ("tracking plot", run.tracking_plot),
-        ("page of the run", run.page),
-        ("log", run.log),
-    ]
-    print(f"\n{'Done' if finished else 'Ended early'} after {seconds:.0f} s. Files:")
-    for name, path in listed:
-        if path is not None and path.exists():
-            print(f"  {name:22s} {path}")
-    more = " --episodes 160 --evaluate" if finished else ""
-    print(f"Next: ros2 run hydro_policy trainer --resume {run.path}{more}")
-
-
 def train(options: argparse.Namespace) -> int:
     """Run a training: prepare, train, evaluate; at any end disarm, write a checkpoint, stop companions, in order."""
     began = time.monotonic()
@@ -206,15 +159,10 @@ def train(options: argparse.Namespace) -> int:
         node.announcer.log = stack.enter_context(run.log.open("a", buffering=1, encoding="utf-8"))
         node.report(f"run {run.path}, episodes {settings.episodes}, plant {options.plant}")
         gains, (kp, ki) = settings.task.gains, settings.base_gains
-        reach = f"the policy chooses K_p up to {kp + gains.delta_kp_max:g} and K_i up to {ki + gains.delta_ki_max:g}"
-        paper = gains == configuration("paper", base=settings.base_gains).task.gains
-        wider = "; --configuration wide tracks several times better, up to K_p 300" if paper else ""
-        node.report(reach + wider)
+        ends = kp + gains.delta_kp_max, ki + gains.delta_ki_max
+        node.report("the policy chooses K_p up to {:g} and K_i up to {:g}".format(*ends))
         if run.policy.is_file():
-            try:
-                node.report(("the best so far: " if checkpoint else "") + describe_policy(run.policy))
-            except ValueError as error:  # checkpoints hold the agent
-                node.warn(f"{error}: the next best policy replaces it")
+            node.report(("the best so far: " if checkpoint else "") + describe_policy(run.policy))
         record = RunRecord(run.record)
 
         def tell(sentence: str) -> None:
@@ -261,7 +209,9 @@ def train(options: argparse.Namespace) -> int:
         print(f"no learning curve: {error.strerror or error}", file=sys.stderr)
     found += curves.sections(record, run.learning_curve)
     curves.write_page(run, f"Training {run.path.name}", notes, found)
-    print_files(run, plant.recording, finished, options, time.monotonic() - began)
+    more = " --episodes 160 --evaluate" if finished else ""
+    print(f"\n{'Done' if finished else 'Ended early'} after {time.monotonic() - began:.0f} s: {run.page}")
+    print(f"Next: ros2 run hydro_policy trainer --resume {run.path}{more}")
     if digest:
         print(f"\nThe same seed gives the same digest {platform_description()}:\nrun digest: {digest}")
     if plan.abort_reason:

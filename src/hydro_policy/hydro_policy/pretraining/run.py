@@ -21,13 +21,13 @@ from hydro_bridge.bags.writer import code_version
 from hydro_bridge.pages import Section
 from hydro_bridge.pages.runs import refresh_index
 from hydro_core.bench_scales import rescale
-from hydro_core.cli.console import Table, UserError, explicit_options, progress, refuse_on_resume
+from hydro_core.cli.console import Table, UserError, explicit_options, progress
 from hydro_core.files.atomic import write_atomic
 from hydro_core.process import termination
 from hydro_core.settings import SettingsError, from_mapping, read_yaml
 from hydro_policy.envs.environment import Transitions
 from hydro_policy.envs.simulation import SimulationSetup
-from hydro_policy.pretraining.configurations import configuration
+from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
 from hydro_policy.pretraining.pretrain import parser
 from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, PretrainSettings
 from hydro_policy.runs.initial_agent import AGENT_FILE
@@ -49,7 +49,7 @@ CHECKPOINT_INTERVAL = 20.0  # minimum s between two checkpoints: a long pretrain
 def pretrain(options: argparse.Namespace) -> int:
     """Run or resume the pretraining that the command line specifies; returns the exit status."""
     run = RunDirectory(options.resume or options.out)
-    settings, source = resumed_settings(run, sys.argv[1:]) if options.resume else requested_settings(options)
+    settings, source = (resumed_settings if options.resume else requested_settings)(options)
     raise_if_mismatched(source.pairing_error())
     randomisation = rescale(Randomisation(), NOMINAL, settings.task.size) if source.randomise else None
     simulation = PretrainSettings(
@@ -91,11 +91,7 @@ def pretrain(options: argparse.Namespace) -> int:
 
 def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, SimulationSetup]:
     """Return training settings and simulation set-up of the command line."""
-    model = options.model or "shipped"
-    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
-    chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
-    source = SimulationSetup(model=model, box=options.box and os.path.abspath(options.box), **chosen)
-
+    source = requested_setup(options)
     sac = {} if options.hidden is None else {"hidden_size": options.hidden}
     task = {} if options.steps is None else {"steps_per_episode": options.steps}
     given = {name: getattr(options, name) for name in ("episodes", "updates_per_step")}
@@ -110,13 +106,32 @@ def requested_settings(options: argparse.Namespace) -> tuple[TrainingSettings, S
     return replace(settings, replay_capacity=max(settings.replay_capacity, rows)), source
 
 
-def resumed_settings(run: RunDirectory, words: Sequence[str]) -> tuple[TrainingSettings, SimulationSetup]:
-    """Return the settings of a resumed run; raises UserError if `words` give anything but --episodes and --json."""
+def requested_setup(options: argparse.Namespace) -> SimulationSetup:
+    """Return the simulation set-up of the command line."""
+    model = options.model or "shipped"
+    model = model if model in ("analytic", "shipped") else os.path.abspath(model)
+    chosen = {name: getattr(options, name) for name in ("base_gains", "integral", "randomise", "filter", "benches")}
+    return SimulationSetup(model=model, box=options.box and os.path.abspath(options.box), **chosen)
+
+
+def resumed_settings(options: argparse.Namespace) -> tuple[TrainingSettings, SimulationSetup]:
+    """Return the settings of a resumed run; raises UserError if an option but --episodes is not as at its start."""
+    run = RunDirectory(options.resume)
     source = load_simulation_setup(run.path)
     settings = replace(run.load_settings(), made=source.provenance())
-    given = explicit_options(parser(), words)
-    refuse_on_resume(parser(), words, given.keys() - {"resume", "episodes", "json"})
-    settings = replace(settings, episodes=given.get("episodes", settings.episodes))
+    scales = {configuration(name).sac.reward_scale: name for name in CONFIGURATIONS}
+    own = asdict(source) | {
+        "configuration": scales.get(settings.sac.reward_scale), "hidden": settings.sac.hidden_size,
+        "steps": settings.task.steps_per_episode, "updates_per_step": settings.updates_per_step, "seed": settings.seed,
+    }  # fmt: skip
+    given = {*explicit_options(parser(), sys.argv[1:]), *(("model", "box", "base_gains") if options.site else ())}
+    said = vars(options) | asdict(requested_setup(options))
+    for name in own.keys() & given:
+        if said[name] != own[name]:
+            word = f"--{name.replace('_', '-')}"
+            raise UserError(f"{word} {said[name]} is not the run's, {own[name]}: omit it, or begin another run")
+    if options.episodes is not None:
+        settings = replace(settings, episodes=options.episodes)
     run.save_settings(settings)
     return settings, source
 

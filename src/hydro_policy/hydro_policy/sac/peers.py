@@ -105,8 +105,6 @@ def _layers(actor: Any) -> list[tuple[FloatArray, FloatArray]]:
         (part.weight.detach().cpu().numpy().T.astype(np.float64), part.bias.detach().cpu().numpy().astype(np.float64))
         for part in linear
     ]
-    if len(found) < 3:
-        raise ValueError(f"an actor of {len(found)} linear layers cannot be deployed: it needs two hidden ones")
     if len(found) > 3 and found[-1][0].shape == found[-2][0].shape:
         mean, log_std = found[-2:]
         found[-2:] = [(np.hstack((mean[0], log_std[0])), np.concatenate((mean[1], log_std[1])))]

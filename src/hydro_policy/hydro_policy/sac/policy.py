@@ -45,8 +45,6 @@ class Policy:
             for array in (weight, bias):
                 array.flat[:] = parameters[offset : offset + array.size]
                 offset += array.size
-        if offset != len(parameters):
-            raise ValueError(f"{len(parameters)} parameters for a policy of {offset}")
 
     def digest(self) -> str:
         """Return the digest (blake2b, 12 hex digits) of the present weights, the policy's identity in recordings."""
@@ -120,7 +118,5 @@ def load_policy(path: Path) -> tuple[Policy, GainRange, dict[str, object]]:
             for k, array in enumerate(arrays):
                 array[:] = tensors[f"{name}_{k}"]
         return policy, gain_range, header["notes"]
-    except (KeyError, IndexError, TypeError, AttributeError) as error:
-        raise ValueError(f"{path} is not a policy, or damaged: its header lacks {error}") from error
-    except ValueError as error:
-        raise ValueError(f"{path} cannot be used: {error}") from error
+    except (KeyError, IndexError, TypeError, AttributeError, ValueError) as error:
+        raise ValueError(f"{path} cannot be used as a policy: {error}") from error

@@ -27,8 +27,6 @@ from hydro_core.files.site import RECOMMISSION_HINT
 from hydro_core.signals import FAULT_FLAGS, CorrectionStatus, Flag, LawCommand, ReferenceSignal
 from hydro_policy.supervision.override import GainOverride
 
-NO_FILTER_MESSAGE = "the filter does not answer, and base gains are in force: start `ros2 run hydro_filter filter`"
-
 
 def plant_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that samples arrive."""
@@ -42,7 +40,8 @@ def corrections_requirement(ready: Callable[[], bool]) -> Requirement:
     """Return the requirement that the filter's corrections reach the plant, which else continues at base gains."""
     return Requirement(
         name="the filter", ready=ready, hint="it loads, or start `ros2 run hydro_filter filter`", timeout=90.0,
-        timeout_message=NO_FILTER_MESSAGE, essential=False,
+        timeout_message="the filter does not answer, and base gains are in force: start `ros2 run hydro_filter filter`",
+        essential=False,
     )  # fmt: skip
 
 
@@ -64,8 +63,6 @@ TRIPS_MAX = 3
 """Trips in a row within `RECOVERY_TIME` of arming that end the trials under a force law; more end the session."""
 BASE_GAINS_UNSTABLE_MESSAGE = f"the box's base gains do not hold this bench: it tripped {TRIPS_MAX} times when armed"
 IDLE_TIME_MAX = 2.0  # longest time armed without a controller before one starts, s (measurements in decision 0056)
-MISMATCH_MESSAGE = f"the filter's model is not this bench's, and nothing begins: {RECOMMISSION_HINT}"
-MODEL_FITS_MESSAGE = "the filter's model fits again: going on"
 RETRY_INTERVAL = 1.0  # s between arming or disarming requests
 REMINDER_INTERVAL = 30.0  # s between requests to arm a plant that a person disarmed
 ARM_HINT = "press Enter here, or in another terminal: ros2 run hydro_bridge arm"
@@ -198,9 +195,12 @@ class PlantSupervisor:
         """Process the status of the filter's correction; reports a change of MISMATCH."""
         before, self._status, self._heard = self._status, status, True
         if self.mismatched != (before == CorrectionStatus.MISMATCH):
-            bypassed = "the filter is bypassed, and whether its model fits is not known: going on"
-            after = bypassed if status == CorrectionStatus.BYPASSED else MODEL_FITS_MESSAGE
-            self.outputs.report(MISMATCH_MESSAGE if self.mismatched else after, warning=self.mismatched)
+            told = "the filter's model fits again: going on"
+            if self.mismatched:
+                told = f"the filter's model is not this bench's, and nothing begins: {RECOMMISSION_HINT}"
+            elif status == CorrectionStatus.BYPASSED:
+                told = "the filter is bypassed, and whether its model fits is not known: going on"
+            self.outputs.report(told, warning=self.mismatched)
 
     def may_start(self, now: float) -> bool:
         """Return whether a trial may start: armed, all requirements met, no recovery, no blocking reason."""

@@ -12,9 +12,8 @@ from typing import Annotated, Any, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_core.settings import SettingsError, check, quantity
-from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
+from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, FloatArray, ReferenceSignal, StateArray, Waveform
 from hydro_policy.task import recorded
 from hydro_sim.model.bench import NOMINAL
 

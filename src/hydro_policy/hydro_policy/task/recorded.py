@@ -19,9 +19,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.conformance.reference import FADE_TIME
 from hydro_core.settings import SettingsError
-from hydro_core.signals import SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
+from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
 
 DURATION_MAX = 20.0  # longest part of a record that is played [s]: the one with the largest RMS
 LOW_PASS_BANDWIDTH = 3.0  # cut-off frequency [Hz] of the low-pass, second order forwards and backwards
@@ -39,8 +38,6 @@ def read(path: Path) -> tuple[FloatArray, FloatArray]:
     from scipy.io import loadmat
     from scipy.io.matlab import MatReadError
 
-    if not path.exists():
-        raise SettingsError(f"{path}: there is no such record")
     try:
         if path.is_dir() or path.suffix == ".mcap":
             from hydro_bridge.bags.recording import read_bag
@@ -72,17 +69,14 @@ def segments(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
 
     time, value = read(path)
     value = np.interp(np.arange(time[0], time[-1], SAMPLE_PERIOD), time, value)
-    if len(value) < 3 * SEGMENT_SAMPLES:
-        raise SettingsError(f"{path} is shorter than {3 * FADE_TIME:.1f} s")
+    if len(value) < 3 * SEGMENT_SAMPLES or not np.ptp(value):
+        raise SettingsError(f"{path} is shorter than {3 * FADE_TIME:.1f} s, or holds one value alone")
     smooth = sosfiltfilt(butter(2, LOW_PASS_BANDWIDTH, fs=1.0 / SAMPLE_PERIOD, output="sos"), value - value.mean())
     length = min(len(smooth), round(DURATION_MAX / SAMPLE_PERIOD))
     energy = np.concatenate(([0.0], np.cumsum(smooth**2)))
     first = int(np.argmax(energy[length:] - energy[: len(energy) - length]))
     part = smooth[first : first + length]
-    largest = float(np.abs(part).max())
-    if largest == 0.0:
-        raise SettingsError(f"{path} holds nothing but one value")
-    record = amplitude / largest * part
+    record = amplitude / float(np.abs(part).max()) * part
     since, fade = SAMPLE_PERIOD * np.arange(2 * SEGMENT_SAMPLES), np.arange(SEGMENT_SAMPLES) / SEGMENT_SAMPLES
     rising = fade**2 * (3.0 - 2.0 * fade)
     weight = np.concatenate((rising, 1.0 - rising))
