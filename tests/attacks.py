@@ -20,7 +20,7 @@ import rclpy
 from std_srvs.srv import SetBool
 
 from hydro_bridge.ros import topics
-from hydro_bridge.ros.messages import reference_to_message, seconds
+from hydro_bridge.ros.messages import reference_to_message
 from hydro_bridge.ros.node import DISCOVERY_RANGE_VARIABLE, FASTDDS_PROFILES_VARIABLE
 from hydro_bridge.ros.topics import STATE, create_publisher
 from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
@@ -82,11 +82,14 @@ class Defended:
         assert self.probe.flags() & Flag.ARMED
 
     def valve_closed_at(self) -> float:
-        """When the valve current went to 0 for good: by the stamp of the first such sample of those heard, s."""
-        states = self.probe.states
-        assert not states[-1].flags & Flag.ARMED and states[-1].valve_current == 0.0, "it is closed"
-        driven = max(n for n, s in enumerate(states) if s.flags & Flag.ARMED or s.valve_current != 0.0)
-        return seconds(states[driven + 1].header.stamp)
+        """Drive until the valve current is 0 for good; when its first such sample arrived, s of `time.time`."""
+        driven = lambda state: bool(state.flags & Flag.ARMED) or state.valve_current != 0.0  # noqa: E731
+        self.drive(10.0, until=lambda: not driven(self.probe.last(STATE)))
+        self.drive(0.5)
+        heard = self.probe.heard[STATE]
+        last = max(n for n, (_, state) in enumerate(heard) if driven(state))
+        assert last + 1 < len(heard), "it is closed"
+        return heard[last + 1][0] + time.time() - time.monotonic()
 
     def own_flags(self) -> int:
         """Flags of the plant's latest sample."""
@@ -112,7 +115,7 @@ class Defended:
         """Arm, track, and let a stranger strike.
 
         Returns the largest force error [N] in the second before; when the stranger's messages could arrive first [s];
-        the plant's samples from then on, with their times [s].
+        the plant's samples from then on, with the times [s] at which they were heard.
         """
         self.arm()
         before = error(self.probe.states[-1000:])
@@ -123,12 +126,12 @@ class Defended:
 
             def besides() -> None:
                 if arrives() and not began:
-                    began.append(time.time())
+                    began.append(time.monotonic())
 
             self.drive(_LASTS, besides, lambda: not self.own_flags() & Flag.ARMED)
             self.drive(2 * AFTER, besides)
-        own = [(seconds(state.header.stamp), state) for state in self.probe.states if state.header.frame_id == "bench"]
-        return before, began[0] if began else time.time(), own
+        own = [(when, state) for when, state in self.probe.heard[STATE] if state.header.frame_id == "bench"]
+        return before, began[0] if began else time.monotonic(), own
 
 
 def error(states: list[BenchState]) -> float:

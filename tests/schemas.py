@@ -7,7 +7,7 @@ import json
 import os
 from pathlib import Path
 
-from hydro_bridge.bags.types import SCHEMA_FILE
+from hydro_bridge.bags.cdr import SCHEMA_FILE
 
 
 def installed_definition(type_name: str) -> dict[str, str]:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Simulated runs as the diagnosis reads them, and how far its own simulation is from one."""
+"""Simulated runs as the diagnosis reads them, and how far its windows and residuals are from one."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from hydro_diagnosis.effects import CANDIDATES, EffectHypothesis
 from hydro_diagnosis.estimation.problem import Problem
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.model.segment_model import SegmentModel
-from hydro_diagnosis.model.simulation import Plant, measurements
+from hydro_diagnosis.model.simulation import WindowSimulation
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import MEASURED_CHANNELS, Segment
 from hydro_sim.model.bench import Bench
@@ -89,12 +89,18 @@ def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]
 
 
 def apart(segment: Segment, states: FloatArray, claims: Sequence[EffectHypothesis]) -> dict[str, float]:
-    """RMS over range of what the diagnosis' simulation makes of the same current from the same states, by channel."""
-    plant = Plant.of(SegmentModel(segment, Bench.nominal()), claims)
-    readings = measurements(plant, plant.run(states[BEGINS][:, [2, 3, 0, 1]].T.copy(), BEGINS, LENGTH), BEGINS)
+    """RMS over range of the windows that the same current drives from the same physical states, by channel."""
+    simulation = WindowSimulation(SegmentModel(segment, Bench.nominal()), claims)
+    readings = simulation.readings(states[BEGINS][:, [2, 3, 0, 1]].T, BEGINS, LENGTH)
     at = BEGINS[None, :] + np.arange(LENGTH)[:, None]
     return {
         name: float(np.sqrt(np.mean((readings[name] - signal[at]) ** 2)) / np.ptp(signal))
         for name, signal in segment.channels.items()
         if name in MEASURED_CHANNELS
     }
+
+
+def left_by(segment: Segment, claims: Sequence[EffectHypothesis]) -> float:
+    """Norm of a noiseless run's residuals under claims, over that without the last; weighted as under the claims."""
+    problem = Problem([segment], Bench.nominal()).reweighted(claims)
+    return float(np.linalg.norm(problem.residual(claims)) / np.linalg.norm(problem.residual(claims[:-1])))

@@ -19,7 +19,6 @@ from tests.checks import wait
     ("command", "number"),
     [
         ("hydro_bridge bridge --port /nowhere/port", signal.SIGINT),
-        ("hydro_policy trainer --plant external", signal.SIGTERM),
         ("hydro_diagnosis diagnose bag --out report", signal.SIGHUP),
     ],
 )

@@ -36,7 +36,6 @@ from tests import checks
 
 FIRMWARE = Path(__file__).resolve().parent.parent / "firmware"
 WIDTH = len(STATE_FIELDS)
-READ = WIDTH - 1
 """Columns that a decision rests on: all of STATE but integral_gain."""
 KINDS = {"double": np.float64, "single": np.float32}
 WORDS = {"double": (), "single": ("-DHYDRO_SINGLE",)}
@@ -230,26 +229,6 @@ def test_what_is_exported_decides_as_the_graphs_filter_but_for_rounding(
     found = replay(programs["single"], "single", rows)
     differing, worst, _ = compare(found, decided(*SHIPPED, rows), "single, recorded")
     assert differing < 1e-3 and worst < 1e-6
-
-
-@pytest.mark.parametrize("precision", WORDS)
-def test_a_number_that_is_none_or_that_no_bench_shows_gets_no_decision(
-    shipped_run: FloatArray, programs: dict[str, Path], precision: str
-) -> None:
-    row = shipped_run[599]
-    fresh = replay(programs[precision], precision, np.array([row]))
-    for column in range(WIDTH):
-        beyond = () if column == READ else (1.01 * MOST[column], -1.01 * MOST[column], 1e30, -1e30)
-        for value in (math.nan, math.inf, -math.inf, *beyond):
-            spoilt = row.copy()
-            spoilt[column] = value
-            found = replay(programs[precision], precision, np.array([row, spoilt, row]))
-            read = column < READ
-            assert found[1].tolist() == [0.0, 0.0, 0.0, 4.0, 0.0] if read else found[1, 3] != 4.0, column
-            assert not read or found[2].tolist() == fresh[0].tolist(), "the memory began again"
-    for scales in ((1.0, 0.0), (1.0, -1.0), (math.nan, 1.0), (1.0, math.inf), (2e3, 1.0)):
-        law = np.array([[*row[PLACES[2:4]], *scales]])
-        assert replay(programs[precision], precision, np.array([row]), law)[0, 3] == 4.0
 
 
 @pytest.mark.parametrize("precision", WORDS)

@@ -27,8 +27,9 @@ from hydro_bridge.ros.messages import seconds
 from hydro_bridge.ros.topics import GAINS, STATE, TRAINING
 from hydro_core.signals import Flag
 from hydro_msgs.msg import BenchState, TrainingStatus
-from hydro_policy.nodes.training import check_run
 from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, load_checkpoint
+from hydro_policy.sac.sac import Sac, restore
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from tests.checks import ran
 from tests.domains import own_domain
 from tests.graph_probe import SHORT, Probe, Trainer
@@ -72,7 +73,7 @@ class Training:
     def checkpoint(self) -> Checkpoint:
         """The latest, which is whole: the run can go on from it."""
         found = load_checkpoint(self.run.latest)
-        check_run(self.run, self.run.load_settings(), found)
+        restore(Sac(OBSERVATION_SIZE, ACTION_SIZE, self.run.load_settings().sac), found.learner)
         return found
 
 
@@ -142,19 +143,6 @@ def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Tr
 
     probe.wait(replugged)
     assert not replugged()[0].flags & Flag.ARMED, "after the replug the box waits to be armed"
-    probe.wait(training.acts)
-
-
-def test_what_a_person_has_disarmed_stays_so_until_a_person_arms_it(training: Training) -> None:
-    probe, told = training.probe, "a person disarmed the plant"
-    probe.wait(training.acts)
-    probe.arm(False)
-    probe.wait(lambda: f"{told}: arm it on the live page" in training.process.text)
-    probe.forget()
-    probe.spin(2.5)
-    assert not any(state.flags & Flag.ARMED for state in probe.states)
-    assert training.process.text.count(told) == 1
-    probe.arm(True)
     probe.wait(training.acts)
 
 

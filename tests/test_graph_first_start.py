@@ -16,7 +16,7 @@ from hydro_sim.jit import LOG_VARIABLE
 from tests.checks import ran
 
 OFFLINE = (
-    "hydro_sim emulator --offline --seconds 8 --truth {out}/truth.yaml --out {out}/bag",
+    "hydro_sim emulator --offline --seconds 6 --truth {out}/truth.yaml --out {out}/bag",
     "hydro_sim learn {out}/bag --out {out}/learnt.yaml --windows 4",
     "hydro_policy pretrain --out {out}/agent --episodes 1 --steps 20 --model analytic --filter learned",
     "hydro_diagnosis diagnose {out}/bag --out {out}/diagnosis",
@@ -25,7 +25,7 @@ OFFLINE = (
 
 @pytest.mark.slow
 def test_offline_work_compiles_nothing(tmp_path: Path) -> None:
-    leak = {"leakage_internal": {"coefficient": 3e-13}, "friction_viscous": {"coefficient": 60.0}}
+    leak = {"friction_viscous": {"coefficient": 60.0}}
     (tmp_path / "truth.yaml").write_text(yaml.safe_dump({"profile": "nominal", "effects": leak}))
     for words in OFFLINE:
         package, executable, *rest = words.format(out=tmp_path).split()

@@ -16,7 +16,7 @@ import pytest
 pytest.importorskip("rclpy")
 
 from hydro_bridge.ros.companion import Companion
-from hydro_bridge.ros.topics import CORRECTION, GAINS, LAW_STATE, STATE, create_subscription
+from hydro_bridge.ros.topics import GAINS, LAW_STATE, STATE, create_subscription
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
@@ -58,27 +58,6 @@ def test_a_plant_that_was_armed_before_the_trainer_came_waits_for_the_person_who
         assert probe.heard[GAINS][0][0] - armed < AT_ONCE
         process.process.send_signal(signal.SIGINT)
         assert process.process.wait(40.0) == 130
-
-
-def test_a_filter_of_its_own_process_that_is_killed_leaves_base_gains(
-    probe: Probe, start: Callable[..., Companion]
-) -> None:
-    apart = start("hydro_filter filter")
-    start("hydro_sim sim", "--pace", "real")
-    probe.wait(lambda: probe.node.count_publishers(CORRECTION) == 1, 120.0)
-    probe.take()
-    probe.wait(lambda: all(probe.node.count_subscribers(topic) for topic in (GAINS, CORRECTION)))
-    probe.arm(True)
-    probe.drive_to(75.0, 10.0, 90.0)
-    apart.process.kill()
-    apart.process.wait()
-    probe.drive_to(75.0, 10.0, 15.0)
-    probe.drive(75.0, 10.0, 0.5)
-    probe.forget()
-    probe.drive(75.0, 10.0, 0.5)
-    assert {state.proportional_gain for state in probe.states} == {15.0}
-    assert all(state.flags & Flag.FILTER_STALE for state in probe.states)
-    assert {state.valve_current - state.nominal_valve_current for state in probe.states} == {0.0}
 
 
 def test_an_unstable_policy_is_stopped_before_the_box_trips_and_after_too_many_rollbacks_the_run_ends(

@@ -45,8 +45,10 @@ OWN = "--model @own_model.yaml --metric @own_metric.safetensors"
 REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
     "hydro_bridge bridge": (
         ("--ros-args -p guard.delta_kp_mx:=30.0", "no parameter guard.delta_kp_mx; is guard.delta_kp_max"),
-        ("--port @plain.yaml", "plain.yaml is a file, not a serial port"),
-        ("--bench @corrected.yaml", "has effects, it is a model: name the bench.yaml of the box"),
+        ("--ros-args -r /hydro/stat:=/mine/state", "--remap /hydro/stat:=/mine/state: bridge has no such name"),
+        ("--port @plain.yaml", "plain.yaml is not a serial port"),
+        ("--port=", "the port's name is empty: give the device"),
+        ("--bench @corrected.yaml", "has effects or closures, it is a model: name the bench.yaml of the box"),
     ),
     "hydro_bridge recorder": (("--out @bag", "bag exists already: name a new folder"),),
     "hydro_filter filter": (
@@ -66,7 +68,10 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--out @new --schedule @seconds", "segments[1].seconds must be a number within [0.001, 36000] s, not 'abc'"),
         ("--out @new --schedule @pulse", "segments[1].delta_u is 0.01 A: only the emulator"),
     ),
-    "hydro_policy commission": (("--site @new", "which bench? Name its --port"),),
+    "hydro_policy commission": (
+        ("--site @new", "which bench? Name its --port"),
+        ("--site @new --port=", "which bench? Name its --port"),
+    ),
     "hydro_policy evaluate": (
         ("--runs @new --fixed nan 5", "fixed gains are two finite numbers, not nan and 5"),
         ("--runs @new --plant sim --site @ --bench b.yaml", "--bench is told by --site"),
@@ -82,6 +87,7 @@ REFUSED: dict[str, tuple[tuple[str, str], ...]] = {
         ("--out @new --model @own.yaml --box @own.yaml --filter learned", FOREIGN),
     ),
     "hydro_policy trainer": (
+        ("--runs @new --plant bench --port=", "name is empty: give the device"),
         ("--runs @new --resume /nowhere", "holds no run to resume"),
         ("--runs @new --ros-args -p sac.gama:=0.9", "no parameter sac.gama; is sac.gamma meant?"),
         ("--runs @new --plant sim --truth t.yaml", "--truth goes with --plant emulator, not with sim"),
