@@ -11,8 +11,8 @@ from typing import Any
 
 from scipy.stats import trim_mean
 
-from hydro_core.cli import jobs
 from hydro_core.cli.console import make_parser, writable_file
+from hydro_diagnosis import jobs
 
 
 def parser(name: str, description: str | None, *, parallel: bool = False) -> argparse.ArgumentParser:

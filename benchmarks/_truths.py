@@ -19,8 +19,7 @@ import numpy as np
 import numpy.typing as npt
 from numba.extending import overload
 
-from hydro_bridge.conformance.reference import FADE_TIME
-from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import Residual
 from hydro_policy.envs import vector_env, vector_runs

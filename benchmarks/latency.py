@@ -24,7 +24,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.executors import SingleThreadedExecutor
 
 from benchmarks._report import parser
-from hydro_bridge.bags.recording import count_gaps, read_bag
+from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.commander import Commander
 from hydro_bridge.ros.companion import Companion
 from hydro_bridge.ros.topics import DIAGNOSTICS, LAW_STATE, STATE, create_subscription
@@ -159,6 +159,7 @@ def measure(asked: argparse.Namespace, folder: Path, *, together: bool) -> dict[
     bridge, own = driver.told.get("bridge", {}), driver.told.get("filter", {})
     statuses = ("pass", "modified", "relaxed", "infeasible", "nan", "stale")
     plant = sum(cpu.get(name, 0.0) for name in ("bridge", "filter", "filtered_plant"))
+    missing = int((np.diff(states["sequence"].astype(np.int64)) - 1).sum())
     return {
         "box frame in to correction frame out": bridge.get("state in to correction out", "not told"),
         "command out to confirmation in": bridge.get("command out to confirmation in", "not told"),
@@ -169,7 +170,7 @@ def measure(asked: argparse.Namespace, folder: Path, *, together: bool) -> dict[
         "filter: corrections": ", ".join(f"{own.get(key, '?')} {key}" for key in (*statuses, "missing_states")),
         "bridge and filter: share of a core": f"{plant / elapsed:.1%}",
         **{f"{name}: share of a core": f"{cpu[name] / elapsed:.1%}" for name in ("emulator", "recorder")},
-        "recording: samples, missing sequence numbers": f"{len(states)}, {count_gaps(states).lost}",
+        "recording: samples, missing sequence numbers": f"{len(states)}, {missing}",
         "bridge: heartbeats (commands without a correction)": bridge.get("heartbeats", "not told"),
     }
 

@@ -13,8 +13,8 @@ from typing import Any
 
 import yaml
 
-from hydro_core.cli import jobs
 from hydro_core.cli.console import UserError
+from hydro_diagnosis import jobs
 from hydro_sim.model.bench import Bench
 
 DRIVES: tuple[Mapping[str, Any], ...] = (

@@ -24,8 +24,8 @@ from benchmarks._report import parser
 from benchmarks.beyond_the_table.cases import SECONDS, Case, drawn, recorded
 from benchmarks.beyond_the_table.kinds import HALVES, NAMES
 from benchmarks.beyond_the_table.score import scored, table
-from hydro_core.cli import jobs
 from hydro_core.cli.console import UserError, bounded_number, command, writable_folder
+from hydro_diagnosis import jobs
 
 
 @command()

@@ -26,9 +26,9 @@ from benchmarks.prove.cases import PARTS, Case, draw, draw_parts
 from benchmarks.prove.scores import Result, confusion, failures, standards
 from hydro_bridge.pages import Section, results_page
 from hydro_bridge.pages.runs import refresh_index
-from hydro_core.cli import jobs
 from hydro_core.cli.console import Table, UserError, bounded_number, command, writable_folder
 from hydro_core.files.atomic import write_atomic
+from hydro_diagnosis import jobs
 from hydro_sim.model.bench import Bench
 from hydro_sim.plotting import figure
 

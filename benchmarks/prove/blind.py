@@ -25,10 +25,9 @@ from typing import Any
 import hydro_diagnosis
 import hydro_sim.model
 from benchmarks.prove.cases import FITTED, HELD, missing
-from hydro_core.cli import jobs
 from hydro_core.cli.console import command
 from hydro_core.files.atomic import write_atomic
-from hydro_diagnosis import InputError, diagnose
+from hydro_diagnosis import InputError, diagnose, jobs
 from hydro_diagnosis.report.corrected_bench import write_corrected
 from hydro_sim.model.machine_code import COMPILER_FLAGS
 

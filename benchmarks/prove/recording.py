@@ -19,8 +19,8 @@ import numpy as np
 
 from benchmarks.prove.cases import FITTED, HELD, Case, missing
 from hydro_bridge.bags.recording import read_bag
-from hydro_core.cli import jobs
 from hydro_core.signals import Flag
+from hydro_diagnosis import jobs
 from hydro_diagnosis.io.table import read_table
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.recording import UnusableRecordingError

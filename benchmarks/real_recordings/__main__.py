@@ -178,6 +178,8 @@ def carried_out(name: str, folder: Path) -> Score:
         return Score(name, verdict, verdict in rig["answer"]["verdict"], missed=missed, note=note, cpu=cpu)
     score = scored(name, rig, found)
     score.cpu, score.work = time.process_time() - begun, found.problem.budget.spent
+    if found.report.lost:
+        score.allowed, score.note = False, "; ".join(one.sentence for one in found.report.lost)
     return score
 
 

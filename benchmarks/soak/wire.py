@@ -30,13 +30,12 @@ from hydro_bridge.serial.protocol import CommandFrame, MalformedError, State, de
 from hydro_core.signals import STATE_FIELDS
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.realtime import request_realtime
-from tests.fuzz_link import DAMAGES
+from tests.frames import DAMAGES
 
 _TRACED = ("time", "sequence", "flags", "command", "force", "current", "kp")
 TYPE = np.dtype(list(zip(_TRACED, ("f8", "u4", "u4", "u4", "f4", "f4", "f4"), strict=True)))
 """Of the trace: time [s, monotonic], sequence, flags, last command taken, load force [N], current [A], K_p [1/s]."""
 _SHOWN = [STATE_FIELDS.index(name) for name in ("load_force", "valve_current", "proportional_gain")]
-_DAMAGES = tuple(damage for damage, whole in DAMAGES.values() if not whole)
 _KEPT = 500  # frames that may be sent again: fewer than the host remembers as seen
 _HELD = 65536  # bytes for a line that nobody reads; the oldest are lost
 _TICK = 5e-4  # s
@@ -91,7 +90,7 @@ class Direction:
         if chance < 0.3 or not self._passed:
             return self._random.randbytes(self._random.randint(1, 64))
         wire = self._random.choice(self._passed)
-        return wire if chance < 0.5 else self._random.choice(_DAMAGES)(wire, self._random)
+        return wire if chance < 0.5 else self._random.choice(DAMAGES)(wire, self._random)
 
 
 def start(stack: ExitStack, folder: Path, seed: int) -> Connection:
