@@ -11,15 +11,15 @@ the noise subtracted from both.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hydro_diagnosis.effects.base import EffectHypothesis
-from hydro_diagnosis.estimation.fit import Fit, fit, remove_claim
-from hydro_diagnosis.estimation.intervals import Interval, without_insignificant
+from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, remove_claim
+from hydro_diagnosis.estimation.intervals import Interval, intervals, stands, without_insignificant
 from hydro_diagnosis.selection.localisation import FreeForm, MismatchLocation, free_forms, locate, locate_claims
 from hydro_diagnosis.significance import CLAIM_THRESHOLD, EXCESS_THRESHOLD, ITERATIONS, PRACTICAL_SHARE
 
@@ -73,22 +73,52 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, baseline_fit: 
         if len(named) < len(found.claims):
             remains = problem.has_excess(found.residual) or any(not one.effect.named for one in found.claims)
             found = fit(problem, named, iterations=0 if remains else ITERATIONS)
-        elif worst := _most_harmful(problem, holdout, found):
+        elif worst := _unsupported(problem, holdout, found, bounds):
             found = fit(problem, found.claims_without(worst))
         if len(found.claims) == count:
             return found, bounds
 
 
-def _most_harmful(problem: Problem, holdout: Problem, found: Fit) -> EffectHypothesis | None:
-    """Return the claim that increases the held-out deviance most, if by more than `CLAIM_THRESHOLD`; else None."""
+def _unsupported(problem: Problem, holdout: Problem, found: Fit, bounds: Sequence[Interval]) -> EffectHypothesis | None:
+    """Return the claim that the held-out recordings support least; None if all are supported.
+
+    A claim may increase the held-out deviance by `CLAIM_THRESHOLD`; one without any interval must reduce it by as much.
+    """
     unseen = holdout.reweighted(found.claims)
     before = unseen.deviance(unseen.residual(found.claims))
+    sized = {one.effect.label for one, own in by_claim(found.claims, bounds) if any(each.identifiable for each in own)}
     harm = {
-        before - unseen.deviance(unseen.residual(remove_claim(problem, found, claim).claims)): claim
+        before
+        - unseen.deviance(unseen.residual(remove_claim(problem, found, claim).claims))
+        + (0.0 if claim.effect.label in sized else 2.0 * CLAIM_THRESHOLD): claim
         for claim in found.removable
     }
     worst = max(harm, default=0.0)
     return harm[worst] if worst > CLAIM_THRESHOLD else None
+
+
+def supported_names(problem: Problem, holdout: Problem, found: Fit, base: Fit) -> tuple[Fit, list[Interval]]:
+    """Return the fit with those of its names that `base` has not only if they stand; and the intervals of its claims.
+
+    As of `retain_claims`: such a name's interval excludes its absence, and the held-out recordings support it.
+    """
+    known = {claim.effect.label for claim in base.claims}
+    while True:
+        bounds = intervals(problem, found)
+        shown = by_claim(found.claims, bounds)
+        harmful = _unsupported(problem, holdout, found, bounds)
+        refused = [
+            claim for claim, own in shown
+            if claim.effect.named and claim.effect.label not in known and (claim is harmful or not stands(claim, own))
+        ]  # fmt: skip
+        if not refused:
+            return found, bounds
+        found = fit(problem, [claim for claim in found.claims if claim not in refused])
+
+
+def least_evident(problem: Problem, found: Fit) -> EffectHypothesis:
+    """Return the claim without which the score of a fit rises least."""
+    return min(found.removable, key=lambda claim: remove_claim(problem, found, claim).score)
 
 
 def explained_share(problem: Problem, found: Fit, baseline_fit: Fit) -> float:

@@ -9,7 +9,7 @@ cannot predict are listed and excluded from the error that counts.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
@@ -270,6 +270,21 @@ def holdout_errors(
         "free_run": {"seconds": FREE_RUN_TIME, **free.channels},
         "equations": equations,
     }
+
+
+def worse_channels(report: Mapping[str, Any], before: Mapping[str, Any] | None = None) -> list[str]:
+    """Return the channels whose held-out error is a fifth larger than before, and than the noise.
+
+    `report`: as of `holdout_errors`; where there is no simulation, its equations count. `before`: the same without some
+    of the claims: the smaller of its errors and the bench file's counts; absent: the bench file's.
+    """
+    errors, known = (one["holdout"] or one["equations"] if one else {} for one in (report, before))
+    worse = []
+    for name, one in errors.items():
+        least = min(one["rmse_before"], known[name]["rmse_after"] if name in known else np.inf)
+        if not one["rmse_after"] <= 1.2 * max(least, one["noise_floor"]):
+            worse.append(name)
+    return worse
 
 
 def equation_errors(problem: Problem, claims: Sequence[EffectHypothesis]) -> dict[str, dict[str, Any]]:

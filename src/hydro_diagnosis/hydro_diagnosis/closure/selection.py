@@ -61,17 +61,30 @@ def best_closure(problem: Problem, base: Fit, names: Sequence[Effect] = ()) -> C
     """
     screen = Screen(problem, base, excluded_blocks(problem, base))
     by_law = _by_law(problem, base, screen, names)
-    more = {one.effect.label for one in by_law.fit.cause_claims if one.effect.named} - {
-        one.effect.label for one in base.claims
-    }
-    if more and by_law.problem.has_excess(by_law.fit.residual) and not problem.budget.exhausted:
-        by_law = _by_law(problem, base, screen, ())  # where something remains, no further named cause is certain
+    if further_names(by_law.fit, base) and by_law.problem.has_excess(by_law.fit.residual):
+        # where something remains, no further named cause is certain
+        again = not problem.budget.leaves_out("other laws in place of names that were refused")
+        by_law = _by_law(problem, base, screen, ()) if again else _with_laws_of(by_law, problem, base)
     left = by_law.problem.has_excess(by_law.fit.residual)
     found = by_law
-    if not problem.budget.exhausted and (left or by_law.gain <= 0.0):
+    if (left or by_law.gain <= 0.0) and not problem.budget.leaves_out("smooth functions"):
         smooth = _by_curve(by_law if left else ClosureFit(base, 0.0, problem, screen))
         found = smooth if by_law.gain < (1.0 - PRACTICAL_SHARE) * smooth.gain else by_law
     return found if found.gain > 0.0 else None
+
+
+def further_names(found: Fit, base: Fit) -> set[str]:
+    """Return the labels of the named causes of a fit that `base` has not."""
+    return {one.effect.label for one in found.cause_claims if one.effect.named} - {
+        one.effect.label for one in base.claims
+    }
+
+
+def _with_laws_of(other: ClosureFit, problem: Problem, base: Fit) -> ClosureFit:
+    """The fit `base` with the laws of another one, of which those stay that gain enough."""
+    laws = [one for one in other.fit.claims if is_closure(one.effect)]
+    found = prune_terms(problem, fit(problem, (*base.claims, *laws)), keep_named=True)
+    return ClosureFit(found, held_out_gain(problem, base, found), problem, other.screen)
 
 
 def _terms(found: Fit) -> int:
@@ -83,7 +96,7 @@ def _by_law(problem: Problem, base: Fit, screen: Screen, names: Sequence[Effect]
     weighed, current, tried = problem, base, set[str]()
     room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(base))
     for _ in range(room + (MAX_TERMS if names else 0)):
-        if not weighed.has_excess(current.residual) or problem.budget.exhausted:
+        if not weighed.has_excess(current.residual) or problem.budget.leaves_out("further laws"):
             break
         fits = _with_law(weighed, current, screen, tried) if _terms(current) - _terms(base) < room else []
         if _terms(current) > _terms(base):
@@ -112,7 +125,7 @@ def _with_law(problem: Problem, current: Fit, screen: Screen, tried: set[str]) -
     disguised, clean = 0.0, False
     for one in candidates:
         enough = TIE_RATIO * candidates[0].gain if clean else 0.0 if fits else (1.0 - PRACTICAL_SHARE) * disguised
-        if one.gain < max(toll, MIN_GAIN_SHARE * possible_gain, enough) or problem.budget.exhausted:
+        if one.gain < max(toll, MIN_GAIN_SHARE * possible_gain, enough) or problem.budget.leaves_out("further laws"):
             break
         better = _from_starts(problem, current, one.starts)
         if problem.has_excess(better.residual):
@@ -182,7 +195,7 @@ def _simplest(fits: Sequence[Fit], last: EffectHypothesis | None = None) -> Fit:
 def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Effect]) -> Fit:
     """The fit with claims swapped for better ones, given the terms added later, or for simpler ones as good."""
     for claim in found.removable if len(found.claims) > 1 else ():
-        if problem.budget.exhausted:
+        if problem.budget.leaves_out("exchanges of laws"):
             break
         law = is_closure(claim.effect)
         if not law and not names:
@@ -207,7 +220,7 @@ def _exchanged(problem: Problem, found: Fit, screen: Screen, names: Sequence[Eff
 def _merged(problem: Problem, found: Fit, screen: Screen) -> Fit:
     """The fit with a law and another claim replaced by one law of no worse evidence, if nothing remains."""
     for first, second in combinations(found.cause_claims if not problem.has_excess(found.residual) else (), 2):
-        if (first.effect.named and second.effect.named) or problem.budget.exhausted:
+        if (first.effect.named and second.effect.named) or problem.budget.leaves_out("one law in place of two"):
             continue
         rest = fit(problem, tuple(one for one in found.claims if one is not first and one is not second))
         for one in screen.best_laws(rest, 2)[0]:
@@ -226,7 +239,7 @@ def _by_curve(below: ClosureFit) -> ClosureFit:
     problem, current, screen, tried = below.problem, below.fit, below.screen, set[str]()
     assert screen is not None
     room = min(MAX_TERMS, CLOSURES_MAX - len(problem.bench.closures) - _terms(current))
-    while room and problem.has_excess(current.residual) and not problem.budget.exhausted:
+    while room and problem.has_excess(current.residual) and not problem.budget.leaves_out("further smooth functions"):
         start, gain, possible_gain = screen.best_smooth_function(current, tried)
         if start is None or gain < max(EVIDENCE_THRESHOLD, MIN_GAIN_SHARE * possible_gain):
             break

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from hydro_diagnosis.effects.base import HYDRAULIC, LOAD, MOTION, PRESSURE
 
@@ -27,6 +27,8 @@ class Budget:
     spent: float = 0.0
     evaluations: int = 0
     """Evaluations of all residuals: the measure of a search's effort."""
+    untried: dict[str, None] = field(default_factory=dict)
+    """What was left out since the budget was spent, in the order in which it was."""
 
     def allow(self, samples: int) -> None:
         """Set the budget for a number of samples, unless already set: 24 s of CPU per 60 s at 1 kHz, at least 24 s.
@@ -44,3 +46,9 @@ class Budget:
     def exhausted(self) -> bool:
         """Whether the whole budget is spent: no further search may start."""
         return self.exceeds(1.0)
+
+    def leaves_out(self, what: str) -> bool:
+        """Return whether the whole budget is spent, and note `what` as not tried if so."""
+        if self.exhausted:
+            self.untried[what] = None
+        return self.exhausted

@@ -121,13 +121,18 @@ def without_insignificant(problem: Problem, found: Fit) -> tuple[Fit, list[Inter
         bounds = intervals(problem, found)
         standing = [
             claim for claim, own in by_claim(found.claims, bounds)
-            if claim.effect.estimated or not (_includes_neutral(claim, own) or _at_limit(claim, own))
+            if claim.effect.estimated or stands(claim, own)
         ]  # fmt: skip
         ids = {claim.effect.id for claim in standing}
         standing = [claim for claim in standing if set(claim.effect.needs) <= ids]
         if len(standing) == len(found.claims):
             return found, bounds
         found = fit(problem, standing)
+
+
+def stands(claim: EffectHypothesis, bounds: Sequence[Interval]) -> bool:
+    """Return whether a claim's intervals exclude its absence, and no ratio's reaches the end of its range."""
+    return not (_includes_neutral(claim, bounds) or _at_limit(claim, bounds))
 
 
 def _includes_neutral(claim: EffectHypothesis, bounds: Sequence[Interval]) -> bool:

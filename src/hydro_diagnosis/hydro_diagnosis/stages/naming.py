@@ -16,18 +16,27 @@ import numpy as np
 
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_parameters import can_simulate
-from hydro_diagnosis.closure.selection import best_closure
+from hydro_diagnosis.closure.selection import best_closure, further_names
 from hydro_diagnosis.closure.validation import closure_reports, errors_with_closure, share_closed
 from hydro_diagnosis.curve_claims import CurveClaims, claims_from_curve
 from hydro_diagnosis.curves import ForceCurve, Motion, motions
 from hydro_diagnosis.effects.base import MOTION, PRESSURE, Effect, EffectHypothesis
-from hydro_diagnosis.estimation.fit import fit
+from hydro_diagnosis.effects.closure import is_closure
+from hydro_diagnosis.estimation.fit import fit, remove_claim
 from hydro_diagnosis.estimation.intervals import Interval, intervals
 from hydro_diagnosis.experiment_design import next_for_law, next_recording
-from hydro_diagnosis.judge import Assessment, ExplainedShares, accounted_shares, assess, retain_claims
+from hydro_diagnosis.judge import (
+    Assessment,
+    ExplainedShares,
+    accounted_shares,
+    assess,
+    least_evident,
+    retain_claims,
+    supported_names,
+)
 from hydro_diagnosis.recording import Segment
 from hydro_diagnosis.report_json import ClosureReport
-from hydro_diagnosis.validation import HORIZON_TIME, SimulationCache, equation_errors, holdout_errors
+from hydro_diagnosis.validation import HORIZON_TIME, SimulationCache, equation_errors, holdout_errors, worse_channels
 
 if TYPE_CHECKING:
     from hydro_diagnosis.estimation.problem import Problem
@@ -83,6 +92,11 @@ def name_causes(prepared: PreparedDiagnosis, search: Search) -> StageResult:
     holdout = holdout.reweighted(kept.claims)
     simulations: SimulationCache = {}
     holdout_report = holdout_errors(problem, holdout, kept.claims, simulations)
+    while kept.removable and worse_channels(holdout_report):  # what is missing is not among the names
+        kept, bounds = retain_claims(problem, holdout, remove_claim(problem, kept, least_evident(problem, kept)),
+                                     outcome.baseline_fit)  # fmt: skip
+        holdout = holdout.reweighted(kept.claims)
+        holdout_report = holdout_errors(problem, holdout, kept.claims, simulations)
     accounted = accounted_shares(holdout_report["equations"], holdout_report["equations"])
     assessment = assess(problem, outcome.fit, kept, outcome.baseline_fit, holdout, accounted, holdout_report)
     known = can_simulate(problem.bench)  # needed to simulate a proposed recording
@@ -120,7 +134,7 @@ def model_remainder(found: StageResult, prepared: PreparedDiagnosis, search: Sea
     problem, curve = found.problem, found.curve
     if found.by_curve is not None or not found.assessment.remainder:
         return found
-    if not problem.aliased_resonance and not problem.budget.exhausted:
+    if not problem.aliased_resonance and not problem.budget.leaves_out("laws"):
         search.progress(stage_bar.MODELLING)
         library = [effect for effect in search.library if effect.named]
         if modelled := _with_laws(found, library):
@@ -161,12 +175,14 @@ def _with_laws(names: StageResult, library: Sequence[Effect]) -> StageResult | N
     found = best_closure(names.problem, names.assessment.fit, library)
     if found is None:
         return None
-    joint_fit, problem = found.fit, found.problem
+    problem, base = found.problem, names.assessment.fit
+    joint_fit, bounds = supported_names(problem, names.holdout, found.fit, base)
+    if not any(is_closure(one.effect) for one in joint_fit.claims) and not further_names(joint_fit, base):
+        return None
     errors = errors_with_closure(names.problem, names.holdout, joint_fit, names.holdout_report, names.simulations)
     share = share_closed(names.holdout_report, errors)
-    if not share > 0.0:
+    if not share > 0.0 or worse_channels(errors, names.holdout_report):
         return None
-    bounds = intervals(problem, joint_fit)
     holdout = names.holdout.reweighted(joint_fit.claims)
     named = tuple(one for one in joint_fit.claims if one.effect.named)
     everything = equation_errors(holdout, joint_fit.claims)

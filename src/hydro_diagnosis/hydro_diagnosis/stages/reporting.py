@@ -257,7 +257,11 @@ def _notes(
         if bounds and any(bounds[0] <= row <= bounds[1] for row in rows):
             early = "the dead time is that of one row: check that the logger writes each current in the row it acts in"
     if budget.exhausted or (budget.exceeds(SEARCH_SHARE) and found.outcome.stop_reason):
-        stop_reason = f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: --seconds sets another"
+        left_out = ", ".join([*(["further causes"] if found.outcome.stop_reason else []), *budget.untried])
+        stop_reason = (
+            f"the budget of work ({budget.seconds:.3g} s of CPU as counted) was spent: --seconds sets another; "
+            f"not tried: {left_out or 'nothing'}"
+        )
     elif found.outcome.stop_reason and assessment.remainder:
         stop_reason = f"the search for causes ended early ({found.outcome.stop_reason}): there may be more"
     sure = (

@@ -217,13 +217,12 @@ def closure_class(law: Law | Table) -> type[Closure]:
         # the recorded velocity is smoothed: a reversal velocity is estimated less precisely
         for one in law.shape_parameters:
             middle = one.start_values[len(one.start_values) // 2]
-            low, high = (
-                (-BOUND_MAX, BOUND_MAX)
-                if one.threshold_signal
-                else (0.1 * one.start_values[0], 10.0 * one.start_values[-1])
-            )
-            fitted = fit(*one.start_values, systematic=0.6 if one.name == REVERSAL_VELOCITY.name else 0.01)
-            members[one.name] = parameter(one.unit, low, high, scale=abs(middle), neutral=middle, fit=fitted)
+            low, high = 0.1 * one.start_values[0], 10.0 * one.start_values[-1]
+            reach = (-BOUND_MAX, BOUND_MAX) if one.threshold_signal else (1e-3 * low, 1e3 * high)  # of any machine
+            systematic = 0.6 if one.name == REVERSAL_VELOCITY.name else 0.01
+            bounds = {} if one.threshold_signal else {"low": low, "high": high}
+            fitted = fit(*one.start_values, systematic=systematic, **bounds)
+            members[one.name] = parameter(one.unit, *reach, scale=abs(middle), neutral=middle, fit=fitted)
     acts = _CLOSURE_BASES.get(law.where) or _CLOSURE_BASES.get(law.equation, FlowClosure)
     bases: tuple[type[Closure], ...] = (acts,)
     if element is None:
