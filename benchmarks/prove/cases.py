@@ -71,6 +71,7 @@ SINGLES: dict[str, dict[str, Any]] = {
     "leakage_internal": {"coefficient": Size(1e-14, 3e-13)},
     "leakage_external": {"coefficient": Size(1e-14, 1e-13), "chamber": _CHAMBER},
     "valve_deadband": {"half_width": Size(5e-5, 1e-3)},
+    "valve_underlap": {"half_width": Size(3e-5, 6e-4)},
     "valve_lag": {"bandwidth": shape(60.0, 180.0), "damping": shape(0.6, 1.0)},
     "transport_delay": {"time": Size(3e-4, 1.5e-3, step=25e-6)},  # the emulator's own step
     "valve_offset": {"current": _signed(3e-5, 5e-4)},
@@ -126,7 +127,6 @@ OUTSIDE: dict[str, dict[str, Any]] = {
     "friction_pressure": {"coefficient": Size(1e-6, 4e-6)},
     "spring_hysteresis": {"force": Size(6.0, 20.0)},
     "valve_temperature": {"change": _signed(0.03, 0.15)},
-    "valve_underlap": {"half_width": Size(1e-4, 6e-4)},
     "cell_crosstalk": {"coefficient": _signed(1e-6, 4e-6), "chamber": _CHAMBER, "cell": _CELL},
     "load_hum": {"amplitude": Size(3.0, 15.0)},
     "load_walk": {"force": Size(3.0, 15.0)},

@@ -52,7 +52,7 @@ _IDS = {
     "sensor": ("load_cell_gain", "load_cell_bias", "pressure_sensor_bias", "sensor_lag", "cell_crosstalk"),
     "actuation": ("valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain",
                   "valve_gain_asymmetry", "valve_null_leakage", "valve_gain_drift", "supply_droop", "supply_pressure",
-                  "tank_pressure", "valve_temperature", "valve_underlap", "supply_ripple"),
+                  "tank_pressure", "valve_underlap", "valve_temperature", "supply_ripple"),
     "pressure_a": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
                    "dead_volume", "wall_flexibility"),
     "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",

@@ -180,6 +180,22 @@ def test_jacobian_of_a_sample_is_that_of_differences(name: str) -> None:
         np.testing.assert_allclose(dz[:, j] * scale, by_difference[1] * scale, rtol=1e-5, atol=1e-3)
 
 
+def test_underlap_halves_the_supply_at_null_and_doubles_the_gain(bench: Bench) -> None:
+    """Of equal orifices in series each takes half; what one edge opens more, the other of its chamber opens less."""
+    width, half, current = 2e-3, bench.supply_pressure / 2.0, 1e-4
+    held = replace(bench, moving_mass=1e7, effects=(effect("valve_underlap", half_width=width),))
+    model = BenchModel(held)
+    k, y, _ = model.begin(model.values)
+    model.rollout(k, y, np.zeros(2000))
+    np.testing.assert_allclose(y[:2], half, rtol=3e-3)  # the mass hardly moves
+    before = y[:2].copy()
+    model.sample(k, y, current)
+    gain = bench.valve_nominal_flow / (bench.valve_nominal_current * sqrt(bench.valve_nominal_pressure_drop / 2.0))
+    flow = 2.0 * gain * current * sqrt(half)
+    stiff = [bench.bulk_modulus / volume for volume in equations.volumes(bench, bench.spring_rest_position)]
+    np.testing.assert_allclose(y[:2] - before, 1e-3 * flow * np.array([stiff[0], -stiff[1]]), rtol=1e-2)
+
+
 @pytest.mark.parametrize("damping", [0.2, 1.0, 3.0])
 def test_lags_are_exponentials_of_their_matrix(damping: float) -> None:
     lag = effect("valve_lag", bandwidth=300.0, damping=damping)

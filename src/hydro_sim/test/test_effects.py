@@ -35,6 +35,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("transport_delay", {"time": 2e-3}, {}),
     ("valve_lag", {"bandwidth": 60.0, "damping": 0.9}, {}),
     ("valve_deadband", {"half_width": 1e-4}, {}),
+    ("valve_underlap", {"half_width": 2e-4}, {}),
     ("valve_gain", {"ratio": 0.85}, {}),
     ("leakage_internal", {"coefficient": 3e-13}, {}),
     ("leakage_external", {"coefficient": 3e-13}, {"chamber": "a"}),

@@ -231,6 +231,10 @@ class Effect:
         path = np.ascontiguousarray(spool).ravel()
         return np.asarray(self._bound(values, memory).command(path)).reshape(spool.shape)
 
+    def underlap(self, width: float, values: ParameterValues) -> float:
+        """Width [A] by which all four edges are open at null."""
+        return float(self._bound(values).underlap(width))
+
     def openings(self, edges: Pair, spool: FloatArray, time: FloatArray, values: ParameterValues) -> Pair:
         """Conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
 

@@ -120,8 +120,11 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesi
     """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
     tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
-    if claims_acting_in(claims, "openings", "supply"):
-        edges: Pair = (np.maximum(oil.spool, 0.0) * bench.valve_gain, np.maximum(-oil.spool, 0.0) * bench.valve_gain)
+    if claims_acting_in(claims, "underlap", "openings", "supply"):
+        gain, width = bench.valve_gain, 0.0
+        for claim in claims_acting_in(claims, "underlap"):
+            width = claim.effect.underlap(width, claim.values)
+        edges: Pair = (np.maximum(width + oil.spool, 0.0) * gain, np.maximum(width - oil.spool, 0.0) * gain)
         for claim in claims_acting_in(claims, "openings"):
             edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
         out, back = (substep_mean(one) for one in edges)

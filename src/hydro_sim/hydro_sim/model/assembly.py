@@ -195,8 +195,10 @@ class Assembly:
 
     def _edges(self, spool: Symbol) -> rates.EdgeConductances:
         """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back, at the spool's position [A]."""
-        gain = self.bench.valve_gain
-        out, back = gain * np.fmax(spool, 0.0), gain * np.fmax(-spool, 0.0)
+        gain, width = self.bench.valve_gain, 0.0
+        for effect in self.effects:
+            width = effect.underlap(width)
+        out, back = gain * np.fmax(width + spool, 0.0), gain * np.fmax(width - spool, 0.0)
         for effect in self.effects:
             out, back = effect.openings(out, back, spool)
         return out, back

@@ -78,6 +78,13 @@ class ValveDeadband:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ValveUnderlap:
+    """Lands shorter than the ports: near null both edges of a chamber are open."""
+
+    half_width: Annotated[float, quantity("A", 0.0, 0.02)]
+
+
+@dataclass(frozen=True, kw_only=True)
 class ValveLag:
     """Spool dynamics. `bandwidth` is the natural frequency, or the corner frequency at first order."""
 
@@ -245,6 +252,7 @@ class Effects:
     leakage_internal: LeakageInternal | None = None
     leakage_external: tuple[LeakageExternal, ...] = ()
     valve_deadband: ValveDeadband | None = None
+    valve_underlap: ValveUnderlap | None = None
     valve_lag: ValveLag | None = None
     transport_delay: TransportDelay | None = None
     valve_offset: ValveOffset | None = None
@@ -306,13 +314,6 @@ class ValveTemperature:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ValveUnderlap:
-    """Lands shorter than the ports: near null both edges of a chamber are open."""
-
-    half_width: Annotated[float, quantity("A", 0.0, 0.02)]
-
-
-@dataclass(frozen=True, kw_only=True)
 class CellCrosstalk:
     """Crosstalk of a chamber's pressure into a load cell."""
 
@@ -360,7 +361,6 @@ class UnnamedEffects:
     friction_pressure: FrictionPressure | None = None
     spring_hysteresis: SpringHysteresis | None = None
     valve_temperature: ValveTemperature | None = None
-    valve_underlap: ValveUnderlap | None = None
     cell_crosstalk: CellCrosstalk | None = None
     load_hum: SinusoidalLoad | None = None
     load_walk: LoadWalk | None = None

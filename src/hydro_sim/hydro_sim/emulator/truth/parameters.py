@@ -59,12 +59,11 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
 
 def _valve(config: TruthConfig) -> dict[str, Any]:
     bench, effects, outside = config.bench, config.effects, config.outside
+    short = effects.valve_underlap.half_width if effects.valve_underlap else 0.0
     gain = (effects.valve_gain or UNIT_RATIO).ratio
     warm = outside.valve_temperature or kinds.ValveTemperature(change=0.0)
     band = effects.valve_deadband or kinds.ValveDeadband(half_width=0.0)
     overlaps = band.half_width, band.half_width if band.half_width_negative is None else band.half_width_negative
-    if outside.valve_underlap is not None:
-        overlaps = -outside.valve_underlap.half_width, -outside.valve_underlap.half_width
     leak = effects.valve_null_leakage or kinds.ValveNullLeakage(coefficient=0.0)
     lag = effects.valve_lag or kinds.ValveLag(order=0)  # an ideal spool
     drop = bench.valve_nominal_pressure_drop / 2.0
@@ -73,7 +72,7 @@ def _valve(config: TruthConfig) -> dict[str, Any]:
         "gain_positive": gain, "gain_negative": gain * (effects.valve_gain_asymmetry or UNIT_RATIO).ratio,
         "gain_drift": effects.valve_gain_drift.rate if effects.valve_gain_drift else 0.0,
         "warm_change": warm.change, "warm_time": warm.time_constant,
-        "overlap_positive": overlaps[0], "overlap_negative": overlaps[1],
+        "overlap_positive": overlaps[0] - short, "overlap_negative": overlaps[1] - short,
         "softness": band.softness if band.form == "soft" else 0.0,
         "null_leak": leak.coefficient, "null_width": leak.width, "null_hyperbolic": float(leak.form == "hyperbolic"),
         "valve_offset": effects.valve_offset.current if effects.valve_offset else 0.0,

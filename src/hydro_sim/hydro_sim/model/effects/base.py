@@ -256,6 +256,10 @@ class Effect:
         """Return the mean position of the spool [A] over a step."""
         return spool
 
+    def underlap(self, width: Symbol) -> Symbol:
+        """Return the width [A] by which all four edges are open at null."""
+        return width
+
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
         """Return the conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and that retract it."""
         return out, back

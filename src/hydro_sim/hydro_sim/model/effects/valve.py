@@ -124,6 +124,18 @@ class ValveDeadbandSoft(ValveDeadband):
         return self.softness * (_softplus(beyond / self.softness) - _softplus(below / self.softness))
 
 
+class ValveUnderlap(_Valve):
+    """Lands shorter than the ports, an overlap of negative sign: within it both edges of a chamber are open."""
+
+    id = "valve_underlap"
+    sentence_template = "The valve's lands are {half_width:.3g} mA short of the ports: at null all four edges are open."
+    all_edges = True
+    half_width = parameter("A", 0.0, 10.0, scale=1e-4, fit=fit(2e-5, 1e-4, 5e-4, smallest_reported=5e-6, high=0.02))
+
+    def underlap(self, width: Symbol) -> Symbol:
+        return width + self.half_width
+
+
 class ValveGain(_Valve):
     """Ratio of the valve gain K_v to the bench file's."""
 
@@ -195,5 +207,5 @@ def _softplus(ratio: Symbol) -> Symbol:
 
 EFFECTS = (
     TransportDelay, ValveOffset, ValveLag, ValveLagFirstOrder, ValveDeadband, ValveDeadbandAsymmetric,
-    ValveDeadbandSoft, ValveGain, ValveGainAsymmetry, ValveGainDrift, ValveNullLeakage,
+    ValveDeadbandSoft, ValveUnderlap, ValveGain, ValveGainAsymmetry, ValveGainDrift, ValveNullLeakage,
 )  # fmt: skip
