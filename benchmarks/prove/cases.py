@@ -79,6 +79,7 @@ SINGLES: dict[str, dict[str, Any]] = {
     "valve_gain_asymmetry": {"ratio": _ratio(0.03, 0.2)},
     "valve_null_leakage": {"coefficient": Size(5e-11, 1e-9), "width": shape(3e-4, 2e-3)},
     "supply_droop": {"resistance": Size(1e10, 1e11), "time_constant": shape(0.02, 0.3)},
+    "return_line": {"resistance": Size(1e10, 2e11), "time_constant": shape(0.003, 0.1)},
     "bulk_modulus": {"ratio": Size(0.05, 0.3, neutral=1.0, signs=(-1,))},
     "entrained_air": {"volume_fraction": Size(2e-3, 2e-2)},
     "load_cell_gain": {"ratio": _ratio(0.02, 0.1), "cell": _CELL},

@@ -196,6 +196,21 @@ def test_underlap_halves_the_supply_at_null_and_doubles_the_gain(bench: Bench) -
     np.testing.assert_allclose(y[:2] - before, 1e-3 * flow * np.array([stiff[0], -stiff[1]]), rtol=1e-2)
 
 
+def test_return_line_settles_where_its_drop_is_that_of_what_bleeds(bench: Bench) -> None:
+    """All four edges open by w: q_t = 2 K w sqrt((p_s - p_r) / 2) and p_r = R q_t, a quadratic equation."""
+    width, resistance = 2e-3, 2e11
+    gain = bench.valve_nominal_flow / (bench.valve_nominal_current * sqrt(bench.valve_nominal_pressure_drop / 2.0))
+    line = effect("return_line", resistance=resistance, time_constant=0.02)
+    held = replace(bench, moving_mass=1e7, effects=(effect("valve_underlap", half_width=width), line))
+    model = BenchModel(held)
+    k, y, _ = model.begin(model.values)
+    model.rollout(k, y, np.zeros(2000))
+    push = 2.0 * (gain * width * resistance) ** 2
+    risen = 0.5 * (sqrt(push * push + 4.0 * push * bench.supply_pressure) - push)
+    assert resistance * y[6] == pytest.approx(risen, rel=3e-3)
+    np.testing.assert_allclose(y[:2], (bench.supply_pressure + risen) / 2.0, rtol=3e-3)
+
+
 @pytest.mark.parametrize("damping", [0.2, 1.0, 3.0])
 def test_lags_are_exponentials_of_their_matrix(damping: float) -> None:
     lag = effect("valve_lag", bandwidth=300.0, damping=damping)

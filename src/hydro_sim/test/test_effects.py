@@ -48,6 +48,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("pressure_sensor_bias", {"pressure": 2e5}, {"chamber": "a"}),
     ("friction_coulomb", {"force": 15.0}, {}),
     ("supply_droop", {"resistance": 5e10, "time_constant": 0.02}, {}),
+    ("return_line", {"resistance": 2e11, "time_constant": 0.02}, {}),
     ("entrained_air", {"volume_fraction": 0.02}, {}),
     ("load_cell_gain", {"ratio": 1.1}, {"cell": "load_force"}),
     ("sensor_lag", {"bandwidth": 15.0, "damping": 0.7}, {"sensor": "load_force"}),

@@ -249,6 +249,10 @@ class Effect:
         """Supply pressure [Pa] at the valve for a flow `demand` [m3/s]."""
         return supply
 
+    def tank(self, tank: FloatArray, returned: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
+        """Pressure [Pa] behind the valve's tank edges for a flow `returned` [m3/s]."""
+        return tank
+
     def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: ParameterValues) -> Pair:
         """Flows [m3/s] into chambers A and B, less the effect's leakage."""
         bound = self._bound(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects with memory, over records and windows: dead time, lags, droop, bristles, play; inversion of sensor errors.
+"""Effects with memory, over records and windows: dead time, lags, lines, bristles, play; inversion of sensor errors.
 
 The model advances their hidden states step by step; here a whole record is filtered at once (`effects.memory`). A soft
 overlap has no memory, but is computed only once for each value of a held current.
@@ -129,6 +129,13 @@ class SupplyDroop(Effect):
         return supply - values["resistance"] * memory.lag(demand, values["time_constant"])
 
 
+class ReturnLine(Effect):
+    """Pressure of the return line with the flow, after a first-order lag."""
+
+    def tank(self, tank: FloatArray, returned: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
+        return tank + values["resistance"] * memory.lag(returned, values["time_constant"])
+
+
 class Stribeck(Effect):
     """Stribeck friction: a rise near standstill, of which another form may fit as well."""
 
@@ -194,6 +201,7 @@ EFFECT_CLASSES: dict[type[physics.Effect], type[Effect]] = {
     valve.ValveDeadbandAsymmetric: Overlap,
     valve.ValveDeadbandSoft: SoftOverlap,
     oil.SupplyDroop: SupplyDroop,
+    oil.ReturnLine: ReturnLine,
     friction.FrictionStribeck: Stribeck,
     friction.FrictionPresliding: FrictionPresliding,
     motion.BacklashPlay: Backlash,

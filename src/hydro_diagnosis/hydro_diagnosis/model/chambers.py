@@ -33,12 +33,12 @@ from hydro_sim.model.compiled_equations import equations as compiled
 
 @njit
 def edge_flows(into_a, into_b, opened, closing, p_a, p_b, supply, tank):
-    """Write the flows [m3/s] through the edges into both chambers; `tank` [Pa] is a scalar, all else (n,).
+    """Write the flows [m3/s] through the edges into both chambers; all arguments have shape (n,).
 
     `opened`, `closing`: conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
     """
     for k in range(len(p_a)):
-        out, back = compiled.edge_drops(supply[k], tank, p_a[k], p_b[k])
+        out, back = compiled.edge_drops(supply[k], tank[k], p_a[k], p_b[k])
         into_a[k] = opened[k] * compiled.signed_root(out[0]) - closing[k] * compiled.signed_root(back[0])
         into_b[k] = closing[k] * compiled.signed_root(back[1]) - opened[k] * compiled.signed_root(out[1])
 
@@ -116,11 +116,16 @@ SUBSTEPS = 4
 """Substeps per sample of the spool's position: the current is held for a sample, the spool is not."""
 
 
+LINE_ITERATIONS, LINE_ERROR = 20, 1.0
+"""Largest number of iterations of the pressures of supply and return line by their flows; change [Pa] that ends them.
+"""
+
+
 def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesis], memory: Memory) -> Pair:
     """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
-    tank, (p_a, p_b) = bench.tank_pressure, oil.pressures
+    p_a, p_b = oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
-    if claims_acting_in(claims, "underlap", "openings", "supply"):
+    if claims_acting_in(claims, "underlap", "openings", "supply", "tank"):
         gain, width = bench.valve_gain, 0.0
         for claim in claims_acting_in(claims, "underlap"):
             width = claim.effect.underlap(width, claim.values)
@@ -128,17 +133,23 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesi
         for claim in claims_acting_in(claims, "openings"):
             edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
         out, back = (substep_mean(one) for one in edges)
-        supply = np.full_like(p_a, bench.supply_pressure)
-        sagging = claims_acting_in(claims, "supply")
-        for _ in range(3 if sagging else 0):
-            (drop_a, _), (_, drop_b) = eq.edge_drops(supply, tank, p_a, p_b)
+        lines = np.full_like(p_a, bench.supply_pressure), np.full_like(p_a, bench.tank_pressure)
+        supply, tank = lines
+        yielding = claims_acting_in(claims, "supply", "tank")
+        for _ in range(LINE_ITERATIONS if yielding else 0):
+            before = supply, tank
+            (drop_a, from_b), (from_a, drop_b) = eq.edge_drops(supply, tank, p_a, p_b)
             demand = out * eq.signed_root(drop_a) + back * eq.signed_root(drop_b)
-            supply = np.full_like(p_a, bench.supply_pressure)
-            for claim in sagging:
+            returned = out * eq.signed_root(from_b) + back * eq.signed_root(from_a)
+            supply, tank = lines
+            for claim in yielding:
                 supply = claim.effect.supply(supply, demand, memory, claim.values)
+                tank = claim.effect.tank(tank, returned, memory, claim.values)
+            if max(np.max(np.abs(now - then)) for now, then in zip((supply, tank), before, strict=True)) < LINE_ERROR:
+                break
         edge_flows(*flows, out, back, p_a, p_b, supply, tank)
     else:
-        nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, tank)
+        nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, bench.tank_pressure)
     for claim in claims_acting_in(claims, "leaks"):
         flows = claim.effect.leaks(flows, oil, bench, memory, claim.values)
     return flows

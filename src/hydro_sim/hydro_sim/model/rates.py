@@ -57,10 +57,10 @@ def textbook_rates(
     n, (p_a, p_b, position, velocity, shown, shown_rate) = at.bench, y[:6]
     at.position, at.velocity, at.pressures, at.load_force = position, velocity, (p_a, p_b), shown
     # the valve
-    (out, back), supply = edges, n.supply_pressure
+    (out, back), supply, tank = edges, n.supply_pressure, n.tank_pressure
     for effect in effects:
-        supply = effect.supply(supply)
-    drops_out, drops_back = eq.edge_drops(supply, n.tank_pressure, p_a, p_b)
+        supply, tank = effect.supply(supply), effect.tank(tank)
+    drops_out, drops_back = eq.edge_drops(supply, tank, p_a, p_b)
     if any(effect.all_edges for effect in effects):
         drawn_a, drawn_b = eq.orifice(out, drops_out[0]), eq.orifice(back, drops_back[1])
         into_a, into_b = drawn_a - eq.orifice(back, drops_back[0]), drawn_b - eq.orifice(out, drops_out[1])
@@ -70,6 +70,7 @@ def textbook_rates(
         into_a = eq.orifice(opening, choose(outwards, drops_out[0], drops_back[0]))
         into_b = -eq.orifice(opening, choose(outwards, drops_out[1], drops_back[1]))
         drawn = choose(outwards, into_a, into_b)
+    at.returned = drawn - into_a - into_b
     # the chambers
     modulus_a = modulus_b = n.bulk_modulus
     for effect in effects:

@@ -110,16 +110,16 @@ def orifice_flow(coefficient, drop):
 
 
 @njit
-def edge_flows(p, spool, gain, pressure_a, pressure_b, supply):
+def edge_flows(p, spool, gain, pressure_a, pressure_b, supply, tank):
     """Flows [m3/s] supply -> A, A -> tank, supply -> B, B -> tank at the spool's position [A]."""
     leak = null_leak(p, spool)
     extending = gain * p.gain_positive * p.orifice * opening(p, spool, p.overlap_positive) + leak
     retracting = gain * p.gain_negative * p.orifice * opening(p, -spool, p.overlap_negative) + leak
     return (
         orifice_flow(extending, supply - pressure_a),
-        orifice_flow(retracting, pressure_a - p.tank_pressure),
+        orifice_flow(retracting, pressure_a - tank),
         orifice_flow(retracting, supply - pressure_b),
-        orifice_flow(extending, pressure_b - p.tank_pressure),
+        orifice_flow(extending, pressure_b - tank),
     )
 
 
@@ -209,11 +209,11 @@ def _cushion(p, depth, stiffness):
 
 STANDSTILL_VELOCITY = 1e-5  # m/s, below which a direction of motion says nothing
 
-CONTENT_A, CONTENT_B, POSITION, VELOCITY, SPOOL, SPOOL_RATE, SUPPLY, HYSTERESIS = range(8)
+CONTENT_A, CONTENT_B, POSITION, VELOCITY, SPOOL, SPOOL_RATE, SUPPLY, HYSTERESIS, RETURN = range(9)
 
 TRUTH_STATE_DTYPE = np.dtype(
     [
-        ("y", np.float64, (8,)),  # the integrated state, in the order above
+        ("y", np.float64, (9,)),  # the integrated state, in the order above
         ("bristle", np.float64),  # m
         ("spring_end", np.float64),  # m
         ("walk", np.float64),  # random force, in units of its deviation
@@ -239,7 +239,7 @@ def rest_state(p, state):
     state.y[:] = 0.0
     state.y[POSITION] = state.spring_end = p.rest
     state.y[SPOOL] = p.valve_offset
-    state.y[SUPPLY] = p.source_pressure
+    state.y[SUPPLY], state.y[RETURN] = p.source_pressure, p.tank_pressure
     drop = p.source_pressure - p.tank_pressure
     state.pressure_b = p.tank_pressure + 0.5 * drop * (1.0 + ratio**2) / (1.0 + ratio**3)
     state.pressure_a = ratio * state.pressure_b
@@ -271,7 +271,7 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
         supply += p.ripple_amplitude * math.sin(2.0 * math.pi * p.ripple_frequency * time)
     warming = 0.0 if p.warm_change == 0.0 else p.warm_change * (1.0 - math.exp(-time / p.warm_time))
     gain = max((1.0 + p.gain_drift * time) * (1.0 + warming), 0.0)
-    into_a, out_of_a, into_b, out_of_b = edge_flows(p, spool, gain, pressure_a, pressure_b, supply)
+    into_a, out_of_a, into_b, out_of_b = edge_flows(p, spool, gain, pressure_a, pressure_b, supply, y[RETURN])
     drop = pressure_a - pressure_b
     across = p.leak_internal * drop + orifice_flow(p.leak_internal_orifice, drop)  # past the piston's seal
     lost_a = p.leak_external_a * (pressure_a - p.tank_pressure)
@@ -288,6 +288,7 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
     elif p.spool_order == 1.0:
         slope[SPOOL] = min(max(p.spool_frequency * ahead, -p.spool_rate_limit), p.spool_rate_limit)
     slope[SUPPLY] = (p.source_pressure - p.droop_resistance * state.draw - y[SUPPLY]) / p.droop_time
+    slope[RETURN] = (p.tank_pressure + p.line_resistance * (out_of_a + out_of_b) - y[RETURN]) / p.line_time
     slope[HYSTERESIS] = 0.0
     if p.hysteresis_force != 0.0:  # Bouc-Wen
         size, velocity = abs(y[HYSTERESIS]) ** p.hysteresis_exponent, y[VELOCITY]
@@ -327,7 +328,7 @@ def hold_command(p, state, current, walk_noise):
 
 @njit
 def advance_substep(p, state, index, work):
-    """Advance by substep `index` of the present sample by Heun's method, in place; `work`: scratch, shape (3, 8)."""
+    """Advance by substep `index` of the present sample by Heun's method, in place; `work`: scratch, shape (3, 9)."""
     elapsed = index * SUBSTEP_TIME
     time = state.sample * SAMPLE_PERIOD + elapsed
     # the command is constant within a step; both of Heun's slopes must see the same side of its jumps
@@ -339,14 +340,14 @@ def advance_substep(p, state, index, work):
         level = friction_level(p, y[VELOCITY], y[POSITION], state.pressure_a - state.pressure_b)
         state.bristle = advance_bristle(p, state.bristle, y[VELOCITY], level)  # lives half a step ahead of y
     _derivative(p, state, y, state.pressure_a, state.pressure_b, time, command, slope)
-    for i in range(8):
+    for i in range(9):
         guess[i] = y[i] + SUBSTEP_TIME * slope[i]
     volume_a = p.dead_volume_a + p.area_a * guess[POSITION]
     volume_b = p.dead_volume_b + p.area_b * (p.stroke - guess[POSITION])
     pressure_a = pressure_of(p, guess[CONTENT_A], volume_a, state.pressure_a)
     pressure_b = pressure_of(p, guess[CONTENT_B], volume_b, state.pressure_b)
     _derivative(p, state, guess, pressure_a, pressure_b, time + SUBSTEP_TIME, command, slope_ahead)
-    for i in range(8):
+    for i in range(9):
         y[i] += 0.5 * SUBSTEP_TIME * (slope[i] + slope_ahead[i])
     y[SPOOL_RATE] = min(max(y[SPOOL_RATE], -p.spool_rate_limit), p.spool_rate_limit)
     if p.spool_order == 0.0:

@@ -133,6 +133,14 @@ class SupplyDroop:
 
 
 @dataclass(frozen=True, kw_only=True)
+class ReturnLine:
+    """Volume behind a line to the tank: T p_r' = p_t + R q - p_r, with q what the valve returns."""
+
+    resistance: Annotated[float, quantity("Pa s/m3", 0.0, 2e12)]
+    time_constant: Annotated[float, quantity("s", 1e-3, 5.0)] = 0.02
+
+
+@dataclass(frozen=True, kw_only=True)
 class EntrainedAir:
     """Free air, as its share of the volume at atmospheric pressure; compressed adiabatically or isothermally."""
 
@@ -261,6 +269,7 @@ class Effects:
     valve_null_leakage: ValveNullLeakage | None = None
     valve_gain_drift: ValveGainDrift | None = None
     supply_droop: SupplyDroop | None = None
+    return_line: ReturnLine | None = None
     bulk_modulus: TrueRatio | None = None
     entrained_air: EntrainedAir | None = None
     load_cell_gain: tuple[LoadCellGain, ...] = ()

@@ -36,6 +36,7 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
     dead = {one.chamber: one.ratio for one in effects.dead_volume}
     air = effects.entrained_air or kinds.EntrainedAir(volume_fraction=0.0)
     droop = effects.supply_droop or kinds.SupplyDroop(resistance=0.0)
+    line = effects.return_line or kinds.ReturnLine(resistance=0.0)
     ripple = outside.supply_ripple or kinds.SupplyRipple(amplitude=0.0)
     internal = effects.leakage_internal or kinds.LeakageInternal(coefficient=0.0)
     external = {one.chamber: one.coefficient for one in effects.leakage_external}
@@ -50,6 +51,7 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
         "source_pressure": bench.supply_pressure * (effects.supply_pressure or UNIT_RATIO).ratio,
         "tank_pressure": effects.tank_pressure.pressure if effects.tank_pressure else bench.tank_pressure,
         "droop_resistance": droop.resistance, "droop_time": droop.time_constant,
+        "line_resistance": line.resistance, "line_time": line.time_constant,
         "ripple_amplitude": ripple.amplitude, "ripple_frequency": ripple.frequency,
         "leak_internal": internal.coefficient if internal.form == "laminar" else 0.0,
         "leak_internal_orifice": internal.coefficient * math.sqrt(5e6) if internal.form == "orifice" else 0.0,

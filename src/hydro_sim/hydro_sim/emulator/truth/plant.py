@@ -110,7 +110,7 @@ def advance_sample(p, box, state, chain, work, noise, current):
     """Advance by one sample of 1 ms in place at a held valve current [A]: physics, amplifiers, readings.
 
     `p`, `box`, `state`, `chain`: arrays of shape (1,): plant parameters, the box's differentiation, physical state,
-    sensors. `work`: scratch space, shape (3, 8). `noise`: standard normal numbers, shape (5,).
+    sensors. `work`: scratch space, shape (3, 9). `noise`: standard normal numbers, shape (5,).
     """
     dynamics.hold_command(p[0], state[0], current, noise[4])
     for index in range(SUBSTEPS):
@@ -141,7 +141,7 @@ class TruthPlant:
         self.sensors = Sensors(force_rate_age=ages.force_rate_age, velocity_age=ages.velocity_age)
         self.differentiation = self.sensors.constants()
         self.state, self.chain = np.zeros(1, dynamics.TRUTH_STATE_DTYPE), np.zeros(1, CHAIN_DTYPE)
-        self.work = np.zeros((3, 8))
+        self.work = np.zeros((3, 9))
         self.reset(seed)
 
     @property

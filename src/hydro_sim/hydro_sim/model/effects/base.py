@@ -160,6 +160,8 @@ class EffectContext:
     """N, output of the load cell's amplifier at that instant."""
     acceleration: Symbol = 0.0
     """x'' [m/s2] where sensors are read."""
+    returned: Symbol = 0.0
+    """Flow [m3/s] through the valve's tank edges at that instant."""
     spool: Symbol = 0.0
     """Mean position of the spool [A] over the step."""
     current: Symbol = 0.0
@@ -266,6 +268,10 @@ class Effect:
 
     def supply(self, pressure: Symbol) -> Symbol:
         """Return the supply pressure [Pa] at the valve."""
+        return pressure
+
+    def tank(self, pressure: Symbol) -> Symbol:
+        """Return the pressure [Pa] behind the valve's tank edges."""
         return pressure
 
     def leaks(self, pressure_a: Symbol, pressure_b: Symbol) -> tuple[Symbol, Symbol]:

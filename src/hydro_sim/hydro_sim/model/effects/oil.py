@@ -38,6 +38,30 @@ class SupplyDroop(Effect):
         return {"demand": (drawn - self.demand) / self.time_constant}
 
 
+class ReturnLine(Effect):
+    """Pressure p_r of the line to the tank by the flow q_t returned, with a first-order lag: T p_r' + p_r = R q_t.
+
+    A volume V of oil behind a laminar resistance: T = R V / beta.
+    """
+
+    id = "return_line"
+    equations = ("actuation",)
+    sentence_template = (
+        "The pressure behind the valve's tank port rises with the flow returned, by {resistance:.3g} MPa per ml/s, and "
+        "falls with a time constant of {time_constant:.3g} ms."
+    )
+    single = True
+    resistance = parameter("Pa s/m3", 0.0, 1e12, scale=1e9, fit=fit(3e10, smallest_reported=1e9))
+    time_constant = parameter("s", 1e-3, 100.0, scale=0.05, neutral=0.05, fit=fit(3e-3, 0.02, 0.1, high=3.0))
+    flow = hidden("m3/s", scale=1e-5, integrated=True)
+
+    def tank(self, pressure: Symbol) -> Symbol:
+        return pressure + self.resistance * self.flow
+
+    def rates(self, drawn: Symbol) -> dict[str, Symbol]:
+        return {"flow": (self.at.returned - self.flow) / self.time_constant}
+
+
 class LeakageInternal(Effect):
     """Laminar leakage between the chambers."""
 
@@ -131,6 +155,6 @@ class EntrainedAirIsothermal(EntrainedAir):
 
 
 EFFECTS = (
-    SupplyDroop, LeakageInternal, LeakageInternalOrifice, LeakageExternal, BulkModulus, EntrainedAir,
+    SupplyDroop, ReturnLine, LeakageInternal, LeakageInternalOrifice, LeakageExternal, BulkModulus, EntrainedAir,
     EntrainedAirIsothermal,
 )  # fmt: skip
