@@ -15,6 +15,7 @@ from hydro_core.files import bench_digest
 from hydro_diagnosis.effects import CANDIDATES, LIBRARY, Effect, EffectHypothesis
 from hydro_diagnosis.effects.base import BLOCKS, CHANNELS, MachineScales, scale_bounds
 from hydro_diagnosis.effects.closure import Closure, closure
+from hydro_diagnosis.effects.memory import Memory
 from hydro_diagnosis.estimation.fit import fit
 from hydro_diagnosis.estimation.intervals import intervals
 from hydro_diagnosis.estimation.problem import Problem
@@ -72,6 +73,20 @@ def test_air_in_rigid_oil_is_a_polytropic_gas() -> None:
     gas = share * (101325.0 / absolute) ** (1.0 / 1.4)
     soft = claim("entrained_air").effect.modulus(np.full(3, 1e15), pressure, {"volume_fraction": share})
     assert np.allclose(soft, 1.4 * absolute * (1.0 - share + gas) / gas, rtol=1e-4)
+
+
+def test_a_line_settles_where_its_drop_is_that_of_the_flow_and_as_fast_as_it_says() -> None:
+    """One edge to 0 Pa: s = p - R K sqrt(s); a small step of the source decays with T / (1 + R q'(s))."""
+    source, edge, resistance, lag = 16e6, 1e-8, 5e10, 0.05
+    steady = ((((edge * resistance) ** 2 + 4.0 * source) ** 0.5 - edge * resistance) / 2.0) ** 2
+    given = np.full(1000, source)
+    given[1:] += 1e3
+    nothing, opened = np.zeros(1000), np.full(1000, edge)
+    found = Memory(STEP).line_pressure(given, (opened, nothing, nothing, nothing), resistance, lag)
+    assert found[0] == pytest.approx(steady, rel=1e-9)
+    gain = resistance * edge / (2.0 * steady**0.5)
+    left = (found[2:100] - found[-1]) / (found[1:99] - found[-1])
+    np.testing.assert_allclose(left, np.exp(-STEP * (1.0 + gain) / lag), rtol=2e-3)
 
 
 def test_effects_stay_within_what_a_bench_allows() -> None:

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 FloatArray = npt.NDArray[np.float64]
 Pair = tuple[FloatArray, FloatArray]
 """Values of chambers A and B."""
+EdgesOfLine = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+"""Edges at a line's end: conductance [m3/s/sqrt(Pa)] of one and pressure [Pa] behind it, then of the other."""
 ParameterValues = Mapping[str, float]
 Result = TypeVar("Result")
 PRESSURE, MOTION, LOAD, HYDRAULIC = "pressure", "motion", "load", "hydraulic"
@@ -245,12 +247,12 @@ class Effect:
         out, back = bound.openings(*edges, spool)
         return np.asarray(out), np.asarray(back)
 
-    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
-        """Supply pressure [Pa] at the valve for a flow `demand` [m3/s]."""
+    def supply(self, supply: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+        """Supply pressure [Pa] at the valve, from that of the source."""
         return supply
 
-    def tank(self, tank: FloatArray, returned: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
-        """Pressure [Pa] behind the valve's tank edges for a flow `returned` [m3/s]."""
+    def tank(self, tank: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+        """Pressure [Pa] behind the valve's tank edges, from the tank's."""
         return tank
 
     def leaks(self, flows: Pair, oil: ChamberInputs, bench: Bench, memory: Memory, values: ParameterValues) -> Pair:

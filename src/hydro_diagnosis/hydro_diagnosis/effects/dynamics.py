@@ -16,7 +16,7 @@ from scipy.linalg import expm
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
-from hydro_diagnosis.effects.base import Effect, FloatArray, Kinematics, ParameterValues
+from hydro_diagnosis.effects.base import EdgesOfLine, Effect, FloatArray, Kinematics, ParameterValues
 from hydro_sim.jit import njit
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import base as physics
@@ -123,17 +123,19 @@ def _softplus(over):
 
 
 class SupplyDroop(Effect):
-    """Droop of the supply pressure with the flow demand, after a first-order lag."""
+    """Droop of the supply pressure with the flow drawn, after a first-order lag."""
 
-    def supply(self, supply: FloatArray, demand: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
-        return supply - values["resistance"] * memory.lag(demand, values["time_constant"])
+    def supply(self, supply: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+        return memory.line_pressure(supply, edges, values["resistance"], values["time_constant"])
 
 
 class ReturnLine(Effect):
-    """Pressure of the return line with the flow, after a first-order lag."""
+    """Pressure of the return line with the flow, after a first-order lag: a droop of negative pressures."""
 
-    def tank(self, tank: FloatArray, returned: FloatArray, memory: Memory, values: ParameterValues) -> FloatArray:
-        return tank + values["resistance"] * memory.lag(returned, values["time_constant"])
+    def tank(self, tank: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+        out, behind_out, back, behind_back = edges
+        drawn = out, -behind_out, back, -behind_back
+        return -memory.line_pressure(-tank, drawn, values["resistance"], values["time_constant"])
 
 
 class Stribeck(Effect):

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from functools import lru_cache
 
@@ -58,6 +59,19 @@ class Memory:
         begin = float(signal[0]) if start is None else start
         return first_order_lag(signal, self.step, time_constant, begin)
 
+    def line_pressure(
+        self, source: FloatArray, edges: tuple[FloatArray, FloatArray, FloatArray, FloatArray], resistance: float,
+        time_constant: float,
+    ) -> FloatArray:  # fmt: skip
+        """Pressure [Pa] at the end of a line, which falls by `resistance` [Pa s/m3] times the lagged flow drawn.
+
+        `edges`: conductance of one and pressure behind it, then of the other. The flow follows from this pressure: the
+        equation of each sample is solved.
+        """
+        decay = float(np.exp(-self.step / time_constant))
+        share = 1.0 - (1.0 - decay) * time_constant / self.step
+        return np.asarray(_line_pressure(source, *edges, resistance, decay, share))
+
     def low_pass(self, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Second-order low-pass, `bandwidth` in Hz, of a signal that is linear between samples."""
         numerator, denominator = second_order_low_pass(round(bandwidth, 9), round(damping, 9), self.step)
@@ -72,6 +86,38 @@ class Memory:
     def bristle(self, position: FloatArray, stiffness: float, limit: FloatArray) -> FloatArray:
         """Elastic force [N] of a bristle along `position` [m], with yield force `limit` [N] (Dahl)."""
         return np.asarray(bristle_force(np.ascontiguousarray(position), stiffness, np.ascontiguousarray(limit)))
+
+
+@njit
+def _line_pressure(source, first, behind_first, second, behind_second, resistance, decay, share):
+    found = np.empty_like(source)
+    lagged = 0.0
+    for k in range(-1, len(source)):  # first the steady state of the first sample
+        at, part = max(k, 0), share if k >= 0 else 1.0
+        one, two = behind_first[at], behind_second[at]
+        rest = source[at] - resistance * (1.0 - part) * lagged
+        low, high = min(rest, one, two), max(rest, one, two)  # no flow, or that of one direction, at either end
+        pressure = min(max(found[max(at - 1, 0)], low), high) if k > 0 else high
+        for _ in range(100):
+            drops = max(abs(pressure - one), 1e-6), max(abs(pressure - two), 1e-6)
+            flow = first[at] * math.copysign(math.sqrt(drops[0]), pressure - one)
+            flow += second[at] * math.copysign(math.sqrt(drops[1]), pressure - two)
+            beyond = pressure - rest + resistance * part * flow
+            if beyond > 0.0:
+                high = pressure
+            else:
+                low = pressure
+            slope = 0.5 * (first[at] / math.sqrt(drops[0]) + second[at] / math.sqrt(drops[1]))
+            ahead = pressure - beyond / (1.0 + resistance * part * slope)
+            if not low <= ahead <= high:  # Newton's step leaves the bracket
+                ahead = 0.5 * (low + high)
+            moved = abs(ahead - pressure)
+            pressure = ahead
+            if moved < 1e-3:
+                break
+        lagged = flow if k < 0 else flow + (lagged - flow) * decay
+        found[at] = pressure
+    return found
 
 
 @njit

@@ -116,11 +116,6 @@ SUBSTEPS = 4
 """Substeps per sample of the spool's position: the current is held for a sample, the spool is not."""
 
 
-LINE_ITERATIONS, LINE_ERROR = 20, 1.0
-"""Largest number of iterations of the pressures of supply and return line by their flows; change [Pa] that ends them.
-"""
-
-
 def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesis], memory: Memory) -> Pair:
     """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
     p_a, p_b = oil.pressures
@@ -133,20 +128,11 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesi
         for claim in claims_acting_in(claims, "openings"):
             edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
         out, back = (substep_mean(one) for one in edges)
-        lines = np.full_like(p_a, bench.supply_pressure), np.full_like(p_a, bench.tank_pressure)
-        supply, tank = lines
-        yielding = claims_acting_in(claims, "supply", "tank")
-        for _ in range(LINE_ITERATIONS if yielding else 0):
-            before = supply, tank
-            (drop_a, from_b), (from_a, drop_b) = eq.edge_drops(supply, tank, p_a, p_b)
-            demand = out * eq.signed_root(drop_a) + back * eq.signed_root(drop_b)
-            returned = out * eq.signed_root(from_b) + back * eq.signed_root(from_a)
-            supply, tank = lines
-            for claim in yielding:
-                supply = claim.effect.supply(supply, demand, memory, claim.values)
-                tank = claim.effect.tank(tank, returned, memory, claim.values)
-            if max(np.max(np.abs(now - then)) for now, then in zip((supply, tank), before, strict=True)) < LINE_ERROR:
-                break
+        supply, tank = np.full_like(p_a, bench.supply_pressure), np.full_like(p_a, bench.tank_pressure)
+        for claim in claims_acting_in(claims, "supply"):
+            supply = claim.effect.supply(supply, (out, p_a, back, p_b), memory, claim.values)
+        for claim in claims_acting_in(claims, "tank"):
+            tank = claim.effect.tank(tank, (out, p_b, back, p_a), memory, claim.values)
         edge_flows(*flows, out, back, p_a, p_b, supply, tank)
     else:
         nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, bench.tank_pressure)
