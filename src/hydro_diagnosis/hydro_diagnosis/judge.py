@@ -73,13 +73,13 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, baseline_fit: 
         if len(named) < len(found.claims):
             remains = problem.has_excess(found.residual) or any(not one.effect.named for one in found.claims)
             found = fit(problem, named, iterations=0 if remains else ITERATIONS)
-        elif worst := _unsupported(problem, holdout, found, bounds):
+        elif worst := unsupported(problem, holdout, found, bounds):
             found = fit(problem, found.claims_without(worst))
         if len(found.claims) == count:
             return found, bounds
 
 
-def _unsupported(problem: Problem, holdout: Problem, found: Fit, bounds: Sequence[Interval]) -> EffectHypothesis | None:
+def unsupported(problem: Problem, holdout: Problem, found: Fit, bounds: Sequence[Interval]) -> EffectHypothesis | None:
     """Return the claim that the held-out recordings support least; None if all are supported.
 
     A claim may increase the held-out deviance by `CLAIM_THRESHOLD`; one without any interval must reduce it by as much.
@@ -106,7 +106,7 @@ def supported_names(problem: Problem, holdout: Problem, found: Fit, base: Fit) -
     while True:
         bounds = intervals(problem, found)
         shown = by_claim(found.claims, bounds)
-        harmful = _unsupported(problem, holdout, found, bounds)
+        harmful = unsupported(problem, holdout, found, bounds)
         refused = [
             claim for claim, own in shown
             if claim.effect.named and claim.effect.label not in known and (claim is harmful or not stands(claim, own))

@@ -16,17 +16,18 @@ from hydro_diagnosis.effects import EffectHypothesis
 from hydro_diagnosis.effects.base import CHANNELS
 from hydro_diagnosis.effects.closure import closure
 from hydro_diagnosis.estimation.fit import Fit, fit
+from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.noise import sensor_noise
 from hydro_diagnosis.estimation.problem import Layout, Problem
 from hydro_diagnosis.experiment_design import catalog, expected_gain, next_for_law, simulated_recording
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.judge import accounted_shares, assess, retain_claims
+from hydro_diagnosis.judge import accounted_shares, assess, retain_claims, unsupported
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.quality import check_recording
 from hydro_diagnosis.selection.localisation import free_forms
 from hydro_diagnosis.stages.reporting import common_spectral_line
-from hydro_diagnosis.validation import HORIZON_TIME, MAX_LEFT_OUT_SHARE, compare, equation_errors
+from hydro_diagnosis.validation import HORIZON_TIME, MAX_LEFT_OUT_SHARE, compare, equation_errors, worse_channels
 from hydro_sim.model import grammar
 from hydro_sim.model.bench import Bench
 from tests.segments import claim, frame, problem_in, problem_of, record, segment
@@ -55,6 +56,30 @@ def test_shares_are_of_root_mean_squares_with_the_noise_taken_off() -> None:
 
 
 DRY, VISCOUS = claim("friction_coulomb", 10.0), claim("friction_viscous", 20.0)
+
+
+@pytest.mark.parametrize(
+    ("named", "after", "worse"),
+    [(10.0, 13.0, True), (10.0, 11.0, False), (5.0, 7.0, True), (0.5, 1.1, False), (10.0, float("nan"), True)],
+)
+def test_a_channel_is_worse_by_a_fifth_of_its_error_before_or_of_the_noise(
+    named: float, after: float, worse: bool
+) -> None:
+    reports = [{"holdout": {}, "equations": errors(each)} for each in (after, named)]
+    assert worse_channels(*reports) == (["motion"] if worse else [])
+
+
+@pytest.mark.parametrize("identifiable", [True, False])
+def test_a_name_without_an_interval_needs_a_gain_on_what_was_held_out(identifiable: bool) -> None:
+    """At constant speeds a mass shows nowhere."""
+    data = problem(0.0).reweighted((DRY, VISCOUS))
+    mass = claim("moving_mass", 1e-3)
+    for claims, refused in (((DRY, VISCOUS), []), ((DRY, VISCOUS, mass), [] if identifiable else [mass.effect.label])):
+        found = fit(data, claims, iterations=0)
+        count = sum(len(one.effect.parameters) for one in claims)
+        bounds = [Interval(1.0, 0.9, 1.1, identifiable)] * count
+        harmful = unsupported(data, data, found, bounds)
+        assert ([harmful.effect.label] if harmful else []) == refused
 
 
 @pytest.mark.parametrize(
