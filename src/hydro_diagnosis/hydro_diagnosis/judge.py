@@ -3,7 +3,8 @@
 
 A claim is retained if its interval excludes its absence, if it is physically possible, and if it does not increase the
 held-out errors. Where the names leave more than noise, those that act there may only mimic what is missing: they are
-retained if together they account for nearly all of it. The remaining share is reported.
+retained if together they account for nearly all of it, and each removes more than what remains. The remaining share is
+reported.
 
 `accounted` of an equation is 1 - (rms of the residual) / (rms of what the bench file misses) on held-out recordings,
 the noise subtracted from both.
@@ -58,13 +59,13 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, baseline_fit: 
     """
     while True:
         count = len(found.claims)
-        if problem.has_excess(found.residual) and explained_share(problem, found, baseline_fit) < MIN_EXPLAINED_SHARE:
-            suspects, noisy = set(), problem.excess_channels(found.residual)
-            for claim in found.cause_claims:  # that acts mainly in channels in which something remains
-                shown = problem.mean_squares(problem.residual(found.claims_without(claim)) - found.residual)
-                if max(shown, key=lambda name: shown[name]) in noisy:
-                    suspects.add(claim.effect.label)
-            trusted = tuple(claim for claim in found.claims if claim.effect.label not in suspects)
+        if problem.has_excess(found.residual):
+            noisy = problem.excess_channels(found.residual)
+            suspects = [claim for claim in found.cause_claims if _main_channel(problem, found, claim) in noisy]
+            if explained_share(problem, found, baseline_fit) >= MIN_EXPLAINED_SHARE:
+                suspects = _smaller_than_the_rest(problem, found, suspects)
+            labels = {claim.effect.label for claim in suspects}
+            trusted = tuple(claim for claim in found.claims if claim.effect.label not in labels)
             found = fit(problem, trusted) if suspects else found
         found, bounds = without_insignificant(problem, found)
         named = [one for one in found.claims if one.effect.named]
@@ -77,6 +78,30 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, baseline_fit: 
             found = fit(problem, found.claims_without(worst))
         if len(found.claims) == count:
             return found, bounds
+
+
+def _main_channel(problem: Problem, found: Fit, claim: EffectHypothesis) -> str:
+    """Return the channel in which a claim changes the residual most."""
+    shown = problem.mean_squares(problem.residual(found.claims_without(claim)) - found.residual)
+    return max(shown, key=lambda name: shown[name])
+
+
+def _smaller_than_the_rest(
+    problem: Problem, found: Fit, suspects: Sequence[EffectHypothesis]
+) -> list[EffectHypothesis]:
+    """Return that one of the suspects which removes least, if in each channel more than that remains; else none.
+
+    It may then be part of what is missing, in another form.
+    """
+    left = problem.mean_squares(found.residual)
+    gains: list[tuple[float, EffectHypothesis]] = []
+    for claim in suspects:
+        if claim in found.removable and len(found.cause_claims) > 1:
+            without = problem.mean_squares(remove_claim(problem, found, claim).residual)
+            gain = max((without[name] - one) / max(one - 1.0, EXCESS_THRESHOLD) for name, one in left.items())
+            gains.append((gain, claim))
+    gains.sort(key=lambda one: one[0])
+    return [claim for gain, claim in gains[:1] if gain < 1.0]
 
 
 def unsupported(problem: Problem, holdout: Problem, found: Fit, bounds: Sequence[Interval]) -> EffectHypothesis | None:
