@@ -113,7 +113,7 @@ def _line_pressure(source, first, behind_first, second, behind_second, resistanc
                 ahead = 0.5 * (low + high)
             moved = abs(ahead - pressure)
             pressure = ahead
-            if moved < 1e-3:
+            if moved < 1.0:  # Pa: the next step, of Newton, would be nothing
                 break
         lagged = flow if k < 0 else flow + (lagged - flow) * decay
         found[at] = pressure

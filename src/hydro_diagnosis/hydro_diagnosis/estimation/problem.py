@@ -267,7 +267,8 @@ class Problem:
 
         def computed(some: Sequence[EffectHypothesis]) -> list[dict[str, FloatArray]]:
             late = block == PRESSURE and any(claim.effect.lagged_channel for claim in some)
-            times = 1.0 + LAG_ITERATIONS * late + len(claims_acting_in(some, "invert_reading"))
+            lines = len(claims_acting_in(some, "supply", "tank")) if block == PRESSURE else 0
+            times = 1.0 + LAG_ITERATIONS * late + lines + len(claims_acting_in(some, "invert_reading"))
             self.budget.spent += times * (CPU_COST[block] * self.samples + CPU_COST["segment"] * len(self.models))
             return [one.residuals(block, some) for one in self.models]
 
