@@ -69,7 +69,7 @@ def _rows(plants: Sequence[TruthPlant]) -> Truth:
     records = {name: np.concatenate([getattr(plant, name) for plant in plants]) for name in Truth._fields[:4]}
     count = len(plants)
     return Truth(
-        **records, x=np.zeros((count, 8)), work=np.zeros((3, 8)), felt=np.zeros((count, SAMPLES_PER_STEP)),
+        **records, x=np.zeros((count, 8)), work=np.zeros((3, 9)), felt=np.zeros((count, SAMPLES_PER_STEP)),
         count=np.zeros(count, np.int64),
     )  # fmt: skip
 
