@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
-from hydro_bridge.bags.location import exists
+from hydro_bridge.bags import exists
 from hydro_bridge.pages import environment
 from hydro_core.cli.console import UserError, command, plural, writable_folder
 from hydro_core.files.atomic import write_atomic

@@ -26,8 +26,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import yaml
 
-from hydro_bridge.bags.location import is_bag
-from hydro_bridge.bags.recording import Recording, RecordingError, read_bag, read_messages, stream_bag
+from hydro_bridge.bags import is_bag
+from hydro_bridge.bags.recording import Bag, RecordingError, read_bag, read_messages, stream_bag
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law
 from hydro_diagnosis.bench_parameters import can_simulate
 from hydro_diagnosis.effects.base import EffectHypothesis
@@ -194,7 +194,7 @@ def recorded_loop(segment: Segment, bench: Bench, path: Path | None = None) -> R
     )  # fmt: skip
 
 
-def _box_benches(bench: Bench, bag: Recording | None) -> list[Bench]:
+def _box_benches(bench: Bench, bag: Bag | None) -> list[Bench]:
     """Candidate benches of the box: the bench file's bench, the nominal one, and those stored in the recording."""
     found, texts = [replace(bench, effects=(), closures=(), learned=None), Bench.nominal()], list[Any]()
     if bag is not None:
@@ -206,7 +206,7 @@ def _box_benches(bench: Bench, bag: Recording | None) -> list[Bench]:
     return found
 
 
-def _law_state(segment: Segment, bag: Recording | None) -> tuple[Law, FloatArray, tuple[float, float]]:
+def _law_state(segment: Segment, bag: Bag | None) -> tuple[Law, FloatArray, tuple[float, float]]:
     """Law, the reference it followed, f_c [N] and f_c' [N/s], (n, 2), and C_1, C_2; the paper's if none is recorded."""
     channels, at = segment.channels, segment.phase
     paper = Law.PAPER, np.stack([channels["reference_force"], channels["reference_force_rate"]], axis=1), (1.0, 1.0)

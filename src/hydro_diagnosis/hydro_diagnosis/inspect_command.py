@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.bags.location import is_bag, split_location
+from hydro_bridge.bags import is_bag, split_location
 from hydro_core.cli.console import Table, add_json_argument, command, writable_file
 from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import FloatArray

@@ -38,14 +38,13 @@ from mcap.stream_reader import get_chunk_data_stream
 from rosbags.typesys import Stores, get_types_from_idl, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
-from hydro_bridge.bags import RecordingError
+from hydro_bridge.bags import RecordingError, split_location
 from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE, NotFixedError, fixed_layout
-from hydro_bridge.bags.location import split_location
 from hydro_bridge.bags.writer import BagWriter
 from hydro_core.signals import STATE_DTYPE, StateArray
 
 __all__ = [
-    "STATE_TOPIC", "Bag", "BagWriter", "Piece", "Recording", "RecordingError", "as_states", "missing_topic_error",
+    "STATE_TOPIC", "Bag", "BagWriter", "Piece", "RecordingError", "as_states",
     "read_bag", "read_messages", "stream_bag",
 ]  # fmt: skip
 
@@ -58,35 +57,7 @@ _MESSAGE_HEAD = np.dtype([
 _RECORD_HEAD, _BLOCK_HEAD, _MAGIC = Struct("<BQ"), Struct("<BQH"), b"\x89MCAP0\r\n"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Recording:
-    """One recording in memory."""
-
-    path: Path
-    topics: dict[str, str]
-    """Type of each topic that has messages."""
-    tables: dict[str, TopicTable]
-    """Table of each topic whose type has numeric fields only."""
-    metadata: dict[str, dict[str, str]]
-    """MCAP metadata records; `hydro` holds the run's parameters, code version and digests."""
-    attachments: dict[str, bytes]
-    """Attached files, for instance bench.yaml."""
-    notes: tuple[str, ...]
-    """A sentence on each file that is torn or damaged; empty for a complete recording."""
-
-    def __getitem__(self, topic: str) -> TopicTable:
-        """Return the array of a topic; raises RecordingError if there is none."""
-        if topic not in self.tables:
-            raise missing_topic_error(self.path, topic, self.topics)
-        return self.tables[topic]
-
-    @cached_property
-    def state(self) -> StateArray:
-        """/hydro/state as `STATE_DTYPE` records; raises RecordingError if it is missing or of another type."""
-        return as_states(self[STATE_TOPIC], self.path)
-
-
-def read_bag(path: Path | str, topics: Collection[str] | None = None, *, skip_damaged: bool = False) -> Recording:
+def read_bag(path: Path | str, topics: Collection[str] | None = None, *, skip_damaged: bool = False) -> Bag:
     """Read a recording into memory.
 
     `path`: a rosbag2 folder, an .mcap file, or a part of one: `runs/day#t=3600,7200`. `topics`: those to read; None:
@@ -94,18 +65,15 @@ def read_bag(path: Path | str, topics: Collection[str] | None = None, *, skip_da
     the recording is missing, damaged or not MCAP, or one of `topics` has no messages.
     """
     bag = Bag(path, skip_damaged=skip_damaged)
-    types: dict[str, str] = {}
-    parts: dict[str, list[TopicTable]] = {}
+    parts: dict[str, list[TopicTable]] = defaultdict(list)
     for piece in bag.pieces():
-        types.setdefault(piece.topic, piece.schema.name)
         if (topics is None or piece.topic in topics) and (table := piece.table()) is not None:
-            parts.setdefault(piece.topic, []).append(table)
+            parts[piece.topic].append(table)
     for topic in topics or ():
-        if topic not in types:
-            raise missing_topic_error(bag.path, topic, types)
-    tables = {topic: np.concatenate(tables) for topic, tables in parts.items()}
-    return Recording(path=bag.path, topics=types, tables=tables, metadata=bag.metadata, attachments=bag.attachments,
-                     notes=tuple(bag.notes))  # fmt: skip
+        if topic not in bag.topics:
+            raise missing_topic_error(bag.path, topic, bag.topics)
+    bag.tables = {topic: np.concatenate(tables) for topic, tables in parts.items()}
+    return bag
 
 
 def stream_bag(
@@ -113,7 +81,7 @@ def stream_bag(
 ) -> Iterator[TopicTable]:
     """Yield one topic as one array per block of the file (about a second, at most a megabyte); errors as `read_bag`.
 
-    `notes`: receives `Recording.notes` once all is read.
+    `notes`: receives `Bag.notes` once all is read.
     """
     bag = Bag(path, skip_damaged=skip_damaged)
     for piece in bag.pieces(topic):
@@ -216,21 +184,37 @@ def _typestore(name: str, encoding: str, definition: bytes) -> Typestore:
 
 
 class Bag:
-    """The files of one recording, or of a part of it, read one after the other; `pieces` fills in the attributes."""
+    """One recording, or a part of it: files that `pieces` reads one after the other, and what it found in them."""
 
     def __init__(self, path: Path | str, *, skip_damaged: bool = False) -> None:
         self.path, self._skip_damaged = Path(path), skip_damaged
         whole, self._part = split_location(path)
         self.files = _mcap_files(whole)
+        self.topics: dict[str, str] = {}
+        """Type of each topic that has messages."""
+        self.tables: dict[str, TopicTable] = {}
+        """From `read_bag`, the table of each topic whose type has numeric fields only."""
         self.metadata: dict[str, dict[str, str]] = {}
-        """Metadata records of all files."""
+        """MCAP metadata records; `hydro` holds the run's parameters, code version and digests."""
         self.attachments: dict[str, bytes] = {}
-        self.notes: list[str] = []
-        """A sentence on each file that is torn or damaged."""
+        """Attached files, for instance bench.yaml."""
+        self.notes: tuple[str, ...] = ()
+        """A sentence on each file that is torn or damaged; empty for a complete recording."""
         self._schemas: dict[int, Schema] = {}
         self._channels: dict[int, Channel] = {}
         self._begin, self._end = -inf, inf  # ns
         self._finished, self._damaged = False, 0  # of the present file
+
+    def __getitem__(self, topic: str) -> TopicTable:
+        """Return the table of a topic; raises RecordingError if there is none."""
+        if topic not in self.tables:
+            raise missing_topic_error(self.path, topic, self.topics)
+        return self.tables[topic]
+
+    @cached_property
+    def state(self) -> StateArray:
+        """/hydro/state as `STATE_DTYPE` records; raises RecordingError if it is missing or of another type."""
+        return as_states(self[STATE_TOPIC], self.path)
 
     def pieces(self, topic: str | None = None) -> Iterator[Piece]:
         """Yield each channel's messages in each block of each file.
@@ -241,7 +225,6 @@ class Bag:
         if self._part is not None:
             first = next((piece.heads["log_time"][0] for piece in Bag(self.files[0]).pieces()), 0)
             self._begin, self._end = (float(first + 1e9 * edge) for edge in self._part)
-        there: set[str] = set()
         for path in self.files:
             self._schemas, self._channels = {0: Schema(id=0, data=b"", encoding="", name="")}, {}
             self._finished, self._damaged = False, 0
@@ -249,17 +232,17 @@ class Bag:
                 with path.open("rb") as stream:
                     for block in self._blocks(path, stream):
                         for piece in self._split(path, block):
-                            there.add(piece.topic)
+                            self.topics.setdefault(piece.topic, piece.schema.name)
                             if topic in (None, piece.topic):
                                 yield piece
             except OSError as error:
                 raise RecordingError(f"{path} cannot be read: {error.strerror}") from None
             if self._damaged:
-                self.notes.append(f"{path.name} is damaged: {self._damaged} of its blocks could not be read")
+                self.notes += (f"{path.name} is damaged: {self._damaged} of its blocks could not be read",)
             elif not self._finished:
-                self.notes.append(f"{path.name} was not finished (its recorder was killed?): read up to its end")
-        if topic is not None and topic not in there:
-            raise missing_topic_error(self.path, topic, there)
+                self.notes += (f"{path.name} was not finished (its recorder was killed?): read up to its end",)
+        if topic is not None and topic not in self.topics:
+            raise missing_topic_error(self.path, topic, self.topics)
 
     def _blocks(self, path: Path, stream: BinaryIO) -> Iterator[bytes]:
         """Yield the content of each chunk, and a megabyte at a time the messages outside of chunks."""

@@ -11,6 +11,7 @@ import subprocess
 from collections import Counter
 from collections.abc import Mapping
 from contextlib import AbstractContextManager
+from copy import deepcopy
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,10 +19,12 @@ import numpy as np
 import yaml
 from mcap.records import Channel, Schema
 from mcap.writer import CompressionType, Writer
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2.metadata import dump_qos_v9, parse_qos
 
 from hydro_bridge.bags import RecordingError
 from hydro_bridge.bags.cdr import STATE_TOPIC, STATE_TYPE, definition, encode_states
+from hydro_core.files.atomic import write_atomic
 from hydro_core.signals import StateArray
 
 
@@ -77,19 +80,12 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self, topic: str, type_name: str, *, depth: int = 10, reliable: bool = True, latched: bool = False
     ) -> None:
         """Register a topic whose type has a `definition` and that keeps `depth` messages, before its first message."""
-        known, forever = definition(type_name), {"sec": 9223372036, "nsec": 854775807}
-        profile = {
-            "history": "keep_last",
-            "depth": depth,
-            "reliability": "reliable" if reliable else "best_effort",
-            "durability": "transient_local" if latched else "volatile",
-            "deadline": forever,
-            "lifespan": forever.copy(),
-            "liveliness": "automatic",
-            "liveliness_lease_duration": forever.copy(),
-            "avoid_ros_namespace_conventions": False,
-        }
-        profiles = yaml.safe_dump([profile], sort_keys=False)
+        known, forever = definition(type_name), QosTime(9223372036, 854775807)
+        reliability = QosReliability.RELIABLE if reliable else QosReliability.BEST_EFFORT
+        durability = QosDurability.TRANSIENT_LOCAL if latched else QosDurability.VOLATILE
+        alive = QosLiveliness.AUTOMATIC
+        qos = Qos(QosHistory.KEEP_LAST, depth, reliability, durability, forever, forever, alive, forever, False)
+        profiles = yaml.safe_dump(dump_qos_v9([qos]), sort_keys=False)
         metadata = {"offered_qos_profiles": profiles, "topic_type_hash": known["type_hash"]}
         self.add_channel(
             Channel(id=0, topic=topic, message_encoding="cdr", schema_id=0, metadata=metadata),
@@ -145,10 +141,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         self.close()
 
     def _write_metadata_yaml(self, custom: Mapping[str, str]) -> None:
-        scratch = self.folder / ".metadata.yaml"
         content = {"rosbag2_bagfile_information": self._information(custom)}
-        scratch.write_text(yaml.safe_dump(content, sort_keys=False), encoding="utf-8")
-        os.replace(scratch, self.folder / "metadata.yaml")
+        write_atomic(self.folder / "metadata.yaml", yaml.safe_dump(content, sort_keys=False).encode())
 
     def _information(self, custom: Mapping[str, str]) -> dict[str, object]:
         """Return the content of metadata.yaml with all keys of version 9: rosbag2 throws on a missing one."""
@@ -166,14 +160,11 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             }
             for topic, channel in self._channels.items()
         ]
-        file, information = (  # each with its own times: YAML would write a second mention as an alias
-            {
-                "starting_time": {"nanoseconds_since_epoch": start},
-                "duration": {"nanoseconds": end - start},
-                "message_count": self._counts.total(),
-            }
-            for _ in range(2)
-        )
+        information = {
+            "starting_time": {"nanoseconds_since_epoch": start},
+            "duration": {"nanoseconds": end - start},
+            "message_count": self._counts.total(),
+        }
         return {
             "version": 9,
             "storage_identifier": "mcap",
@@ -182,7 +173,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
             "compression_format": "",
             "compression_mode": "",
             "relative_file_paths": [self.path.name],
-            "files": [{"path": self.path.name, **file}],
+            "files": [
+                {"path": self.path.name, **deepcopy(information)}
+            ],  # YAML would write a second mention as an alias
             "custom_data": dict(custom) or None,
             "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
         }

@@ -87,7 +87,7 @@ class RecordingPage:
         date = datetime.fromtimestamp(recorded, timezone.utc)
         self.begin = f"{date:%Y-%m-%d %H:%M:%S UTC}" if recorded > 1e9 else f"{self._begin:.1f} s"
         """When the first sample shown was recorded; of a simulation without a recorder, which begins at 0, its time."""
-        self.notes = self.bag.notes + [
+        self.notes = list(self.bag.notes) + [
             f"the clock was set by {step:+.10g} s after {time - first:.1f} s: time goes on behind it"
             for time, step in self._clocks[0].jumps
         ]

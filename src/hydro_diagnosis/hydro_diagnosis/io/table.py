@@ -18,9 +18,8 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from hydro_bridge.bags.location import exists, is_bag
-from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag
-from hydro_bridge.bags.recording import Recording as Bag
+from hydro_bridge.bags import exists, is_bag
+from hydro_bridge.bags.recording import STATE_TOPIC, Bag, RecordingError, read_bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.column_map import QUANTITY_OF, ColumnMap, Source
 from hydro_diagnosis.io.columns import Columns, median_step

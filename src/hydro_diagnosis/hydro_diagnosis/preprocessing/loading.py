@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from hydro_bridge.bags.location import exists, is_bag
+from hydro_bridge.bags import exists, is_bag
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_core.signals import SAMPLE_PERIOD, STATE_FIELDS, FloatArray, StateArray
 from hydro_diagnosis.bench_parameters import require_equation

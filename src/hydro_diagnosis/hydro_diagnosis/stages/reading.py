@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hydro_bridge.bags.location import is_bag
+from hydro_bridge.bags import is_bag
 from hydro_bridge.bags.recording import RecordingError, stream_bag
 from hydro_diagnosis import stage_bar
 from hydro_diagnosis.bench_parameters import (
