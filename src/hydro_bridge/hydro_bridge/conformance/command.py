@@ -7,9 +7,9 @@ Without --moving nothing is sent that arms the box, and the piston rests. End th
 from __future__ import annotations
 
 import os
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 from unittest.mock import patch
@@ -41,25 +41,21 @@ PYTEST = (
 class Run:
     """Plugin of pytest that gives the rules a session with the box, and keeps a row of the table for each case.
 
-    `line`, `clock`: see Host; `bench`: what the box's law believes, if known; `moving`: whether the box may be armed;
-    `only`: beginnings of the names of cases.
+    `session`: opens one; `only`: beginnings of the names of cases.
     """
 
-    def __init__(
-        self, line: Port, clock: Callable[[], float] = time.monotonic, bench: Mapping[str, Any] | None = None,
-        moving: bool = False, only: Sequence[str] = (),
-    ) -> None:  # fmt: skip
-        self.line, self.clock, self.bench, self.moving, self.only = line, clock, bench, moving, tuple(only) or ("",)
+    def __init__(self, session: Callable[[], Host], only: Sequence[str] = ()) -> None:
+        self.session, self.only = session, tuple(only)
         self.rows: list[dict[str, str]] = []
         self.error: BaseException | None = None
 
     def start(self) -> list[dict[str, str]]:
         """Run the cases, and return their rows; raises SilenceError if the box is not heard at all."""
-        Host(self.line, self.clock).receive(1)
+        self.session().receive(1)
         with patch.dict(os.environ, PYTEST_DISABLE_PLUGIN_AUTOLOAD="1"):
             status = pytest.main(PYTEST.split(), plugins=[self])
         if self.error or status > pytest.ExitCode.TESTS_FAILED:
-            raise self.error or RuntimeError(f"pytest ended with {status!r}")
+            raise self.error or (KeyboardInterrupt() if status == pytest.ExitCode.INTERRUPTED else RuntimeError(status))
         return self.rows
 
     def pytest_collection_modifyitems(self, items: list[pytest.Function]) -> None:
@@ -67,17 +63,16 @@ class Run:
         for item in items:
             name = item.callspec.id if hasattr(item, "callspec") else item.name.removeprefix("test_")
             item.name = name if "." in name else name.replace("_", ".", 1)
-        names = ", ".join(item.name for item in items)
-        for each in self.only:
-            if not any(item.name.startswith(each) for item in items):
-                self.error = UserError(f"--only {each}: no case begins so; the cases are {names}")
-        items[:] = [] if self.error else [item for item in items if item.name.startswith(self.only)]
+        names = [item.name for item in items]
+        if unknown := [each for each in self.only if not any(name.startswith(each) for name in names)]:
+            self.error = UserError(f"--only: no case begins with {', '.join(unknown)}; there is {', '.join(names)}")
+        items[:] = [] if unknown else [item for item in items if item.name.startswith(self.only or "")]
         self.bar: tqdm[Any] = progress(total=len(items), label="conformance", unit=" cases")
 
     @pytest.fixture
     def host(self) -> Iterator[Host]:
         """Yield a session with the box, which begins and ends disarmed; no case provokes the box's force limit."""
-        self.session = session = Host(self.line, self.clock, self.bench, self.moving)
+        self.now = session = self.session()
         session.open()
         yield session
         session.close()
@@ -94,20 +89,18 @@ class Run:
         self.bar.update(call.when == "teardown")
         if call.excinfo is None:
             return
-        error, result = call.excinfo.value, FAIL
+        error = call.excinfo.value
+        error = call.excinfo.value
+        late = isinstance(error, AssertionError) and self.now.longest_read_gap > 0.015
         if isinstance(error, pytest.skip.Exception):
-            result = LEFT_OUT
-        elif isinstance(error, pytest.xfail.Exception):
-            result = INCONCLUSIVE
-        elif isinstance(error, AssertionError):
-            result = INCONCLUSIVE if self.session.longest_read_gap > 0.015 else FAIL
-        elif not isinstance(error, pytest.fail.Exception):
+            self.rows[-1]["result"] = LEFT_OUT
+        elif late or isinstance(error, pytest.xfail.Exception):
+            self.rows[-1]["result"] = INCONCLUSIVE
+        elif isinstance(error, AssertionError | pytest.fail.Exception):
+            self.rows[-1]["result"] = FAIL
+        else:
             self.error, item.session.shouldstop = error, True
-        self.rows[-1] |= {"result": result, "found": str(error)}
-
-    def pytest_keyboard_interrupt(self, excinfo: pytest.ExceptionInfo[BaseException]) -> None:
-        """Keep an interruption, which ends the command, unless it is the stop for an earlier error."""
-        self.error = self.error or excinfo.value
+        self.rows[-1]["found"] = str(error)
 
 
 @command()
@@ -124,7 +117,7 @@ def main() -> int:
     bench = bench_digest.read_parameters(options.bench) if options.bench else None
     with closing(Port(PortSettings(path=options.port, baud=options.baud))) as port:
         port.open()
-        rows = Run(port, bench=bench, moving=options.moving, only=options.only).start()
+        rows = Run(partial(Host, port, bench=bench, moving=options.moving), options.only).start()
     found = [row["result"] for row in rows]
     title = ", ".join(f"{found.count(one)} {one}" for one in (PASS, FAIL, LEFT_OUT, INCONCLUSIVE))
     Table(COLUMNS, title, rows).show(options.json)

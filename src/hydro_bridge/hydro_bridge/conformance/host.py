@@ -10,15 +10,14 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
-from itertools import pairwise, product
+from itertools import product
 from math import comb
 from typing import Any
 
 import numpy as np
 import pytest
-from cobs import cobs
 from numpy.polynomial import Polynomial
 
 from hydro_bridge.serial import protocol
@@ -26,17 +25,8 @@ from hydro_bridge.serial.port import Port
 from hydro_bridge.serial.protocol import GAIN_FIELDS, PAPER_LAW, BoxInfo, BoxLaw, State
 from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
-from hydro_core.signals import (
-    FADE_TIME,
-    SAMPLE_PERIOD,
-    STATE_FIELDS,
-    Command,
-    Flag,
-    FloatArray,
-    Law,
-    ReferenceSignal,
-    Waveform,
-)
+from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, FloatArray, Law, Waveform
+from hydro_core.signals import ReferenceSignal as Signal
 
 FLAGS = ("ARMED", "TRIPPED", "WATCHDOG", "FILTER_STALE")
 GAINS, REFERENCE = ("proportional_gain", "integral_gain"), ("reference_force", "reference_force_rate")
@@ -45,10 +35,9 @@ COUNTS = ("refused", "refused_references")
 ENDS = [(*ends, *[FADE_TIME] * 99) for ends in product((FADE_TIME - 1e-6, FADE_TIME + 1e-6), repeat=3)]
 """Ends of the fades from arming on [s]: each is the 300th or the 301st sample of its fade."""
 _RATIOS = np.sqrt([1.0, 3.0, 7.0, 13.0])
-_WEIGHTS = 1.0 / _RATIOS / sum(1.0 / _RATIOS)
 _FADE = Polynomial([0.0, 0.0, 3.0, -2.0])
-
-
+LATENCY = 50
+"""Samples that a line may take."""
 SILENCE = 3.0
 """Time [s] without a sample after which a box counts as silent: a busy host may stand still for a second."""
 
@@ -59,12 +48,11 @@ class SilenceError(UserError, AssertionError):
 
 def columns(states: Sequence[State]) -> dict[str, FloatArray]:
     """Return the fields of states by name: with those of the force law, flags, and counts since the first state."""
-    rows = [(*each.values, *each.law_state[1:3], *each.law_state[3], *each.law_state[4:]) for each in states]
-    found = dict(zip((*STATE_FIELDS, "f_c", "f_c'", *SHAPING), np.array(rows).T, strict=True))
-    found |= {flag.name: np.array([float(bool(each.flags & flag)) for each in states]) for flag in Flag}
-    first = states[0]
-    return found | {name: np.array([float(getattr(each, name) - getattr(first, name)) for each in states])
-                    for name in COUNTS}  # fmt: skip
+    rows = [(*each.values, *each.law_state[1:3], *each.law_state[3], *each.law_state[4:], each.sequence,
+             each.refused - states[0].refused, each.refused_references - states[0].refused_references,
+             *(bool(each.flags & flag) for flag in Flag)) for each in states]  # fmt: skip
+    names = (*STATE_FIELDS, "f_c", "f_c'", *SHAPING, "sequence", *COUNTS, *(str(flag.name) for flag in Flag))
+    return dict(zip(names, np.array(rows, float).T, strict=True))
 
 
 def expect(states: Sequence[State], name: str, found: FloatArray, right: Any, tolerance: Any) -> None:
@@ -74,55 +62,50 @@ def expect(states: Sequence[State], name: str, found: FloatArray, right: Any, to
         raise AssertionError(f"{name} is {found[n]:g} in STATE {states[n].sequence}, {right[n]:g} is right")
 
 
-def evaluate_signal(signal: ReferenceSignal, time: FloatArray) -> FloatArray:
+def evaluate_signal(signal: Signal, time: FloatArray) -> FloatArray:
     """Return value [N] and three time derivatives of a signal, shape (4, n), `time` [s] after the box accepted it."""
     omega, order = 2.0 * np.pi * signal.frequency, np.arange(4.0)[:, np.newaxis]
 
     def sine(angle: FloatArray, rate: float) -> FloatArray:
         return np.asarray(rate**order * np.sin(angle + order * np.pi / 2.0))
 
-    angle = omega * time + signal.phase
     shape: FloatArray = np.zeros((4, len(time)))
     if signal.waveform is Waveform.SINE:
-        shape = sine(angle, omega)
+        shape = sine(omega * time + signal.phase, omega)
     elif signal.waveform is Waveform.MULTISINE:
-        for n, (ratio, weight) in enumerate(zip(_RATIOS, _WEIGHTS, strict=True), 1):
-            shape += weight * sine(ratio * omega * time + n * signal.phase, ratio * omega)
+        for n, ratio in enumerate(_RATIOS, 1):
+            shape += sine(ratio * omega * time + n * signal.phase, ratio * omega) / ratio / sum(1.0 / _RATIOS)
     elif signal.waveform is Waveform.SMOOTH_STEP:  # each half turn begins with an edge of an eighth of a turn
-        turn = angle / (2.0 * np.pi) % 1.0
+        turn = (signal.frequency * time + signal.phase / (2.0 * np.pi)) % 1.0
         edge = np.where(turn % 0.5 < 0.125, sine(8.0 * np.pi * (turn % 0.5) - np.pi / 2.0, 4.0 * omega), order == 0.0)
         shape = np.where(turn < 0.5, edge, -edge)
     return signal.offset * (order == 0.0) + signal.amplitude * shape
 
 
-def playable(signal: ReferenceSignal, force_range: float) -> bool:
+def playable(signal: Signal, force_range: float) -> bool:
     """Return whether a box plays a reference."""
-    if not np.isfinite([signal.frequency, signal.phase, signal.amplitude, signal.offset]).all():
-        return False
+    finite = np.isfinite([signal.frequency, signal.phase, signal.amplitude, signal.offset]).all()
     timed = signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
-    return timed and signal.amplitude >= 0.0 and signal.amplitude + abs(signal.offset) <= force_range
+    within = signal.amplitude >= 0.0 and signal.amplitude + abs(signal.offset) <= force_range * (1.0 + 1e-9)
+    return bool(finite and timed and within)
 
 
-def expected_reference(
-    time: FloatArray, asked: Sequence[ReferenceSignal], start: float, fades: Sequence[float]
-) -> FloatArray:
+def expected_reference(time: FloatArray, asked: Sequence[Signal], start: float, fades: Sequence[float]) -> FloatArray:
     """Return f_r and its derivatives, shape (4, n), from arming on at the force `start` [N].
 
     `time` [s], shape (n,). `asked`: the playable signal in force in each sample. The cross-fades end after `fades` [s].
     """
-    found, signals = np.empty((4, len(time))), [(0, ReferenceSignal(offset=start))]
-    for n, wanted in enumerate(asked):
-        if n == 0 or (wanted != signals[-1][1] and time[n] - time[signals[-1][0]] >= fades[len(signals) - 2]):
-            signals.append((n, wanted))
-    for fade, ((before, old), (begin, new)) in zip(
-        fades, pairwise(signals), strict=False
-    ):  # each overwrites what follows its begin
-        now = time[begin:] - time[begin]
+    found, before, begin, old = np.empty((4, len(time))), 0, 0, Signal(offset=start)
+    for fade in fades:
+        new, now = asked[begin], time[begin:] - time[begin]
+        last, following = evaluate_signal(old, time[begin:] - time[before]), evaluate_signal(new, now)
         share = [_FADE.deriv(n)(now / FADE_TIME) / FADE_TIME**n for n in range(4)]
-        last, next_ = evaluate_signal(old, time[begin:] - time[before]), evaluate_signal(new, now)
-        for n in range(4):
-            mixed = last[n] + sum(comb(n, j) * share[j] * (next_ - last)[n - j] for j in range(n + 1))
-            found[n, begin:] = np.where(now < fade, mixed, next_[n])
+        mixed = last + [sum(comb(n, j) * share[j] * (following - last)[n - j] for j in range(n + 1)) for n in range(4)]
+        found[:, begin:] = np.where(now < fade, mixed, following)
+        changes = [n for n in range(begin + int(np.sum(now < fade)), len(time)) if asked[n] != new]
+        if not changes:
+            break
+        old, before, begin = new, begin, changes[0]
     return found
 
 
@@ -163,74 +146,54 @@ class Host:
         moving: bool = False,
     ) -> None:  # fmt: skip
         self.line, self.clock, self.bench, self.moving, self.decoder = line, clock, bench, moving, Decoder()
-        self.info, self.details = BoxInfo(), protocol.BoxDetails()
+        self.info, self.details, self.hello = BoxInfo(), protocol.BoxDetails(), -1
+        """What the box says of itself, and the sequence of its last HELLO; -1: none came."""
         self.laws = dict.fromkeys(Law, PAPER_LAW)
-        """Records of the laws, the paper's with the gains of HELLO; without LAW both are the paper's."""
-        self.hello: tuple[int, int] | None = None
-        """Of the box's last HELLO its sequence and the number of states before it."""
+        self.law: BoxLaw | None = None
+        """Records of the laws, the paper's with the gains of HELLO; the compensated one, None: it was not told."""
+        self.feedback, self.force_scale = "load_force", 1.0
+        """Field of the feedback force; ratio of the box's load force limit to the nominal one, 700 N."""
         self.states: list[State] = []
         self.acting: list[tuple[Command, int]] = []
         """For each state the command in force, the safe one behind a HELLO, and the samples since it came."""
         self.command, self.sequence = Command(), 0
         self.commands: dict[int, Command] = {}
         """All that were sent, by sequence number."""
-        self.lag, self.read_at, self.longest_read_gap = 0, clock(), 0.0
-        """Samples by which the line delays a confirmation; time of the last read, s; longest time between two, s."""
-        self._frames = deque[protocol.Frame]()
-
-    @property
-    def feedback(self) -> str:
-        """Name of the feedback force's field: as given in DETAILS, else `load_force`."""
-        return f"{self.details.feedback or 'load'}_force"
-
-    @property
-    def law(self) -> BoxLaw | None:
-        """The compensated law, if the box told it."""
-        return None if self.laws[Law.COMPENSATED] is self.laws[Law.PAPER] else self.laws[Law.COMPENSATED]
-
-    @property
-    def force_scale(self) -> float:
-        """Ratio of this box's load force limit to the nominal one, 700 N, by which forces of the cases are scaled."""
-        return self.details.load_force_limit / 700.0 or 1.0
+        self.read_at, self.longest_read_gap = clock(), 0.0
+        """Time of the last read, and the longest one between two [s]."""
+        self._frames, self._in_force = deque[protocol.Frame](), (Command(), 0)
 
     def receive(self, samples: int, *, times: int = 0, every: int = 1) -> None:
         """Receive states, and send the command `times` after each `every`-th; raises SilenceError after a `SILENCE`."""
-        for _ in range(samples):
-            last = self.clock()
-            while not self._take_frame():
+        end, last = len(self.states) + samples, self.clock()
+        while len(self.states) < end:
+            while not self._frames:
                 self._frames += self.decoder.feed(self.line.read(0.005))
                 before, self.read_at = self.read_at, self.clock()
                 self.longest_read_gap = max(self.longest_read_gap, self.read_at - before)
                 if self.read_at - last > SILENCE and not self._frames:
-                    silent = no_frames_message(self.decoder.counts, LinkCounts(), SILENCE)
-                    raise SilenceError(
-                        f"the box sent no STATE for {SILENCE:g} s" if self.decoder.counts.frames else silent
-                    )
-            for _ in range(0 if len(self.states) % every else times):
-                self.send()
-
-    def _take_frame(self) -> bool:
-        """Take received frames up to the next STATE; return whether there is one."""
-        while self._frames:
+                    told = f"the box sent no STATE for {SILENCE:g} s"
+                    counts = self.decoder.counts
+                    raise SilenceError(told if counts.frames else no_frames_message(counts, LinkCounts(), SILENCE))
             frame = self._frames.popleft()
             if isinstance(frame, protocol.Hello) and frame.info is not None:
-                self.info, self.hello = frame.info, (frame.sequence, len(self.states))
+                self.info, self.hello, self._in_force = frame.info, frame.sequence, (Command(), -1)
                 gains = {name: getattr(frame.info, name) for name in GAIN_FIELDS}
-                self.laws = dict.fromkeys(Law, replace(PAPER_LAW, **gains))
+                self.laws, self.law = dict.fromkeys(Law, replace(PAPER_LAW, **gains)), None
             elif isinstance(frame, protocol.Details):
-                self.details = frame.details
+                self.details, self.feedback = frame.details, f"{frame.details.feedback or 'load'}_force"
+                self.force_scale = frame.details.load_force_limit / 700.0 or 1.0
             elif isinstance(frame, protocol.LawFrame):
-                self.laws[frame.law] = frame.record
+                self.laws[frame.law] = self.law = frame.record
             elif isinstance(frame, State):
-                command, age = self.acting[-1] if self.acting else (Command(), 0)
                 if not self.states or frame.last_command != self.states[-1].last_command:
-                    command, age = self.commands.get(frame.last_command, Command()), -1
-                elif self.hello is not None and self.hello[1] == len(self.states):
-                    command, age = Command(), -1
-                self.acting.append((command, age + 1))
+                    self._in_force = self.commands.get(frame.last_command, Command()), -1
+                self._in_force = self._in_force[0], self._in_force[1] + 1
+                self.acting.append(self._in_force)
                 self.states.append(frame)
-                return True
-        return False
+                last = self.clock()
+                for _ in range(0 if len(self.states) % every else times):
+                    self.send()
 
     def send(self, ahead: int = 1, noise: bytes = b"", **changes: Any) -> None:
         """Send the last command with changes, `ahead` of the last number; leave the case out if it may not be sent.
@@ -246,12 +209,9 @@ class Host:
             supply = 0.5 * self.bench["supply_pressure"]
             gain, _ = gain_and_stiffness(self.bench, 0.5 * self.bench["stroke"], supply, supply, 1.0)
             changes["delta_u"] *= min(1.0, self.force_scale * 10.53e6 / float(gain))
-        for name in changes.keys() & {"amplitude", "offset"}:
-            changes[name] *= self.force_scale
-        names = changes.keys() & {"waveform", "amplitude", "offset", "frequency", "phase"}
-        signal = {name: changes.pop(name) for name in names}
-        self.command = replace(self.command, **changes)
-        self.command = replace(self.command, reference=replace(self.command.reference, **signal))
+        signal = {entry.name: changes.pop(entry.name) for entry in fields(Signal) if entry.name in changes}
+        signal |= {name: self.force_scale * signal[name] for name in signal.keys() & {"amplitude", "offset"}}
+        self.command = replace(self.command, reference=replace(self.command.reference, **signal), **changes)
         self.sequence = (self.sequence + ahead) % 2**32
         self.commands[self.sequence] = self.command
         self.line.write(noise + protocol.encode_command(self.sequence, int(1e6 * self.clock()), self.command))
@@ -266,83 +226,71 @@ class Host:
                 return self.receive(samples, times=times, every=every)
         raise AssertionError("no command was taken within 300 samples")
 
-    def body(self, ahead: int = 1) -> bytes:
-        """Return a COMMAND with another K_p as it stands in a frame, without its CRC."""
-        changed = replace(self.command, delta_kp=self.command.delta_kp + 3.0)
-        return cobs.decode(protocol.encode_command((self.sequence + ahead) % 2**32, 0, changed)[1:-1])[:-4]
-
     def greet(self, within: int = 300) -> None:
-        """Send HELLO, whose answer must come `within` samples and the line's lag, and receive 30 samples."""
-        begin, self.details, self.hello = len(self.states), protocol.BoxDetails(), None
+        """Send HELLO, whose answer must come `within` samples, and receive 30 samples."""
+        begin, self.details, self.hello = len(self.states), protocol.BoxDetails(), -1
         self.line.write(protocol.encode_hello(0, int(1e6 * self.clock())))
-        while self.hello is None:
-            assert len(self.states) < begin + within + self.lag, f"no HELLO came within {within + self.lag} samples"
+        while self.hello < 0:
+            assert len(self.states) < begin + within, f"no HELLO came within {within} samples"
             self.receive(1)
         self.receive(30)
 
     def open(self) -> None:
         """Greet the box, and send it safe commands until it confirms one; discard all earlier states."""
-        with suppress(AssertionError):
+        with suppress(AssertionError):  # the first bytes of a line may be lost
             self.greet()
-        if self.hello is None:
-            self.greet()
+        self.greet()
         self.sequence = self.states[-1].last_command + 1000  # not a number of the previous session
-        begin = len(self.states)
         with suppress(AssertionError):
             self.stream(20)
-            self.lag = len(self.states) - begin - 21
-        self.states, self.acting, self.hello, self.longest_read_gap = self.states[-1:], self.acting[-1:], None, 0.0
+        self.states, self.acting, self.longest_read_gap = self.states[-1:], self.acting[-1:], 0.0
 
     def close(self) -> None:
         """Disarm the box."""
         self.command = Command()
-        self.receive(10 + self.lag, times=1)
+        self.receive(10 + LATENCY, times=1)
 
     def check(self, *names: str) -> None:
         """Check these fields of all states by the commands in force."""
-        states, now = self.states, columns(self.states)
-        rows, signals = [], [ReferenceSignal()]
-        armed, tripped, disarm_seen, refused = False, False, True, (0, 0)
+        states, now, counts = self.states, columns(self.states), self.decoder.counts
+        rows, signals, shown = [], [Signal()], (False, False, True)
         for state, (command, age) in zip(states, self.acting, strict=True):
             law, late = self.laws[state.law_state.law], bool(state.flags & Flag.WATCHDOG)
             taken, safe, beyond = within_limits(law, command)
             acting = safe if late or command.law is not state.law_state.law else taken
             plays = playable(command.reference, self.details.force_range or 1e6)
             signals.append(command.reference if plays else signals[-1])
-            if age == 0:
-                values = beyond + (not abs(command.delta_u) <= self.info.delta_u_max) + (not plays)
-                refused = refused[0] + values, refused[1] + (not plays)
+            armed, tripped, disarm_seen = shown
             if age > 200:
-                armed, tripped, disarm_seen = False, tripped or armed, False
+                shown = False, tripped or armed, False
             elif not command.arm:
-                armed, tripped, disarm_seen = False, False, True
+                shown = False, False, True
             elif not armed and not tripped:
-                armed, tripped = disarm_seen, not disarm_seen
-            delta_u = 0.0 if age > 3 else np.nan_to_num(command.delta_u)
-            rounding = age in (50, 200)  # a time-out may come a sample later
-            rows.append((armed, tripped, age > 50, late or not command.filter_fresh, *refused, *acting[:2], *safe[2:],
-                         *acting[2:], delta_u, rounding))  # fmt: skip
-        *rest, delta_u, rounding = np.array(rows, float).T
-        right = {name: np.zeros((2, len(rows))) for name in now}  # values and tolerances, first of a box that rests
+                shown = disarm_seen, not disarm_seen, disarm_seen
+            values = beyond + (not abs(command.delta_u) <= self.info.delta_u_max) + (not plays)
+            rows.append((*shown[:2], age > 50, late or not command.filter_fresh, (age == 0) * values,
+                         (age == 0) * (not plays), *acting[:2], *safe[2:], *acting[2:],
+                         0.0 if age > 3 else np.nan_to_num(command.delta_u), age in (50, 200)))  # fmt: skip
+        *rest, delta_u, rounding = np.array(rows, float).T  # rounding: a time-out may come a sample later
+        right: dict[str, Any] = {name: np.zeros((2, len(rows))) for name in now}  # values, tolerances of a box at rest
         for name, value in zip((*FLAGS, *COUNTS, *GAINS, *SHAPING), rest, strict=False):
-            right[name][0] = value
+            right[name][0] = np.cumsum(value) if name in COUNTS else value
             right[name][1] = rounding * (name in FLAGS) + 1e-6 * np.abs(value) * (name in GAINS)
         right["reference_force"][0] = right["f_c"][0] = now[self.feedback]
+        right["sequence"][0] = now["sequence"][0] + np.arange(len(rows))
         for first, end in np.flatnonzero(np.diff(now["ARMED"], prepend=0.0, append=0.0)).reshape(-1, 2):
-            part, shaping = slice(first, end), np.array(rest[14:])
+            part, time = slice(first, end), 1e-6 * np.array([state.time_us for state in states[first:end]])
             told = {name: column[part] for name, column in now.items()}
-            time_us, start = np.array([state.time_us for state in states[part]]), told[self.feedback][0]
-            tries, law = [], self.laws[states[first].law_state.law]
-            for fades in ENDS:
-                points = expected_reference(1e-6 * time_us, signals[1:][part], start, fades)
-                tries.append(
-                    self._armed(self.laws[states[first].law_state.law], told, points, shaping[:, part], delta_u[part])
-                )
+            law, shaping = self.laws[states[first].law_state.law], np.array(rest[14:])[:, part]
+            points = [expected_reference(time, signals[1:][part], told[self.feedback][0], fades) for fades in ENDS]
+            tries = [self._armed(law, told, each, shaping, delta_u[part]) for each in points]
             misfits = [sum(np.abs(each[name][0] - told[name]).sum() for name in (*REFERENCE, "f_c'")) for each in tries]
             for name, pair in tries[int(np.argmin(misfits))].items():
                 right[name][0][part], right[name][1][part] = pair
         for name in names:
             expect(states, name, now[name], *right[name])
+        damaged = counts.malformed + counts.crc_errors
+        assert not damaged or "sequence" not in names, f"{damaged} frames are damaged"
 
     def _armed(
         self, law: BoxLaw, now: Mapping[str, FloatArray], points: FloatArray, shaping: FloatArray, delta_u: FloatArray

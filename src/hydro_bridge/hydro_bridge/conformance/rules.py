@@ -7,6 +7,7 @@ Forces are those of a box that trips at 700 N.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from math import inf, nan, pi
 from random import Random
 from typing import Any
@@ -15,16 +16,19 @@ import numpy as np
 import pytest
 from cobs import cobs
 
-from hydro_bridge.conformance.host import FLAGS, GAINS, REFERENCE, SHAPING, Host, columns, expect
+from hydro_bridge.conformance.host import FLAGS, GAINS, LATENCY, REFERENCE, SHAPING, Host, columns, expect
 from hydro_bridge.safety.box_info import bench_mismatches
-from hydro_bridge.serial.protocol import encode_frame
-from hydro_core.signals import SAMPLE_PERIOD, Flag, Law, ReferenceSignal, Waveform
+from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, encode_command, encode_frame
+from hydro_core.signals import SAMPLE_PERIOD, Law, Waveform
 
 Words = dict[str, Any]
+HELLO: Words = {"a HELLO goes before": "the samples"}
 COMPENSATED: Words = {"law": Law.COMPENSATED, "coefficients": (1.05, 0.03, 1e-3, 4.0), "velocity_compensation": 0.2,
                       "delta_kp": -200.0}  # fmt: skip
 SINE: Words = {"waveform": Waveform.SINE, "amplitude": 50.0, "frequency": 2.0}
 ARMED: Words = {"arm": True}
+ONCE: Words = {"times": 0}
+NOISE = Random(1)
 PLAYED = "a playable signal of the last command fades in from the force, or behind a fade; others change nothing"
 SHAPED = "shaping goes by bounded steps to the command's within limits; late, or for another law, to the safe one"
 
@@ -34,6 +38,14 @@ PLAYS: dict[str, tuple[str, Sequence[str], Sequence[tuple[int, Words | None]]]] 
     "idle.gains": ("Gains follow commands that come each 30 ms or three a sample, FILTER_STALE their filter_fresh",
         ("WATCHDOG", "FILTER_STALE", *GAINS), [(100, {"every": 30, "delta_kp": 3.5, "delta_ki": 1.25}),
                                                (100, {"times": 3, "filter_fresh": True})]),
+    "framing.stream": ("STATE comes without a gap and every frame is whole", ("sequence", "TRIPPED"), [(500, None)]),
+    "framing.garbage": ("A command directly behind garbage of any length is taken", ["sequence"],
+        [(3, ONCE | {"noise": NOISE.randbytes(NOISE.randint(1, 500)) + b"\0"}) for _ in range(100)]),
+    "hello.safe": ("A HELLO puts the safe command in force, ends WATCHDOG, and lets the next have any sequence",
+        (*FLAGS, *GAINS), [(5, ONCE | {"ahead": 1000, "delta_kp": 4.0, "filter_fresh": True}), (50, HELLO), (0, HELLO),
+                           (15, ONCE | {"ahead": -900})]),
+    "order.wraps": ("Half a circle of 2^32 ahead is newer, over its end too", (),
+        [(15, ONCE | {"ahead": ahead}) for ahead in (2**31 - 1, 2**31 - 48, 1000)]),
     "clamp.gains": ("Gains beyond the box's limits are clamped to them; one that is not finite counts as no change",
         GAINS, [(20, {"delta_kp": kp, "delta_ki": ki}) for kp, ki in ((1e4, 1e4), (-1e4, -1e4), (4.0, 2.0), (nan, inf),
                                                                       (4.0, 2.0), (-inf, nan))]),
@@ -45,6 +57,9 @@ PLAYS: dict[str, tuple[str, Sequence[str], Sequence[tuple[int, Words | None]]]] 
                                        (400, {"delta_kp": 0.0, "filter_fresh": True})]),
     "arm.needs_a_disarm": ("An arm bit that comes first after 200 ms of silence trips",
         ("ARMED", "TRIPPED", "valve_current"), [(260, None), (30, ARMED), (10, {"arm": False}), (10, ARMED)]),
+    "arm.off": ("When the arm bit falls the current is 0 at once, and so it is behind a HELLO",
+        ("valve_current", *REFERENCE), [(200, ARMED | SINE), (50, {"arm": False}), (100, ARMED), (5, None),
+                                        (0, HELLO)]),
     "watchdog.trip": ("50 ms behind the last command come base gains, 200 ms behind it the box trips until a disarm",
         (*FLAGS, *GAINS, "valve_current"), [(400, ARMED | {"delta_kp": 20.0, "delta_u": 1e-4}), (300, None), (20, {}),
                                             (5, {"arm": False}), (20, ARMED)]),
@@ -63,10 +78,9 @@ PLAYS: dict[str, tuple[str, Sequence[str], Sequence[tuple[int, Words | None]]]] 
         ("valve_current", "SATURATED"), [(500, ARMED | SINE | {"delta_u": 2e-4}), (300, {"delta_u": -2e-4}),
                                          (20, None), (300, {"delta_u": nan})]),
     "law.nominal": ("u_nom is that of the force law, its integral as HELLO says", ["nominal_valve_current"],
-        [(500, ARMED | SINE | {"delta_kp": 30.0, "delta_ki": 10.0, "delta_u": 1e-4})]),
-    "law.gains": ("u_nom is that of the force law over changes of both gains", ["nominal_valve_current"],
-        [(1, ARMED | SINE | {"waveform": Waveform.SMOOTH_STEP, "frequency": 1.0}), (400, {"delta_ki": 30.0}),
-         (200, {"delta_ki": -4.0}), (300, {"delta_ki": 60.0, "delta_kp": 40.0})]),
+        [(500, ARMED | SINE | {"delta_kp": 30.0, "delta_ki": 10.0, "delta_u": 1e-4}),
+         (400, {"waveform": Waveform.SMOOTH_STEP, "frequency": 1.0, "delta_ki": 30.0}), (200, {"delta_ki": -4.0}),
+         (300, {"delta_ki": 60.0, "delta_kp": 40.0})]),
     "compensated.shaping": (SHAPED, (*GAINS, *SHAPING, "f_c", "f_c'"),
         [(700, ARMED | COMPENSATED | SINE | {"waveform": Waveform.MULTISINE, "offset": 40.0, "frequency": 0.9}),
          (200, {"coefficients": (1e3, 0.02, -1e3, 2.0), "velocity_compensation": -9.0}),
@@ -77,7 +91,7 @@ PLAYS: dict[str, tuple[str, Sequence[str], Sequence[tuple[int, Words | None]]]] 
     "compensated.nominal": ("u_nom is that of the force law with f_c, C_1 and C_2", ["nominal_valve_current"],
         [(600, ARMED | COMPENSATED | SINE | {"valve_gain_scale": 1.2})]),
 }  # fmt: skip
-"""What a rule says, the fields that it checks, and steps: for so many samples commands with these changes, or none."""
+"""What a rule says, the fields that it checks, and steps: for so many samples commands with these changes or none."""
 
 
 @pytest.mark.parametrize(("says", "fields", "steps"), PLAYS.values(), ids=PLAYS)
@@ -86,37 +100,27 @@ def test_play(host: Host, says: str, fields: Sequence[str], steps: Sequence[tupl
     if [*fields] == ["nominal_valve_current"] and not host.bench:
         pytest.skip("needs the box's bench file: --bench")
     for samples, words in steps:
-        host.receive(samples) if words is None else host.stream(samples, **words)
+        if words is HELLO:
+            host.greet()
+        host.receive(samples) if words in (None, HELLO) else host.stream(samples, **(words or {}))
     host.check("ARMED", *fields)
 
 
-def is_whole(host: Host) -> None:
-    """Check that no sample is missing or repeated, and that every frame of the session is complete."""
-    steps = np.diff([float(state.sequence) for state in host.states])
-    expect(host.states[1:], "the step of its number", steps, 1.0, 0.0)
-    counts = host.decoder.counts
-    assert not counts.malformed, f"{counts.crc_errors} check sums, {counts.malformed} frames are wrong"
+def other_command(host: Host, ahead: int = 1) -> bytes:
+    """Return the body of a COMMAND with another K_p."""
+    changed = replace(host.command, delta_kp=host.command.delta_kp + 3.0)
+    return cobs.decode(encode_command((host.sequence + ahead) % 2**32, 0, changed)[1:-1])[:-4]
 
 
-def test_framing_stream(host: Host) -> None:
-    """STATE comes without a gap and every frame is whole."""
-    host.receive(500)
-    is_whole(host)
-    assert not any(state.flags & (Flag.ARMED | Flag.TRIPPED) for state in host.states), "it is armed, or tripped"
-
-
-def test_framing_garbage(host: Host) -> None:
-    """A command directly behind garbage of any length is taken."""
-    random = Random(1)
-    for _ in range(100):
-        host.stream(3, times=0, noise=random.randbytes(random.randint(1, 500)) + b"\0")
-    is_whole(host)
+def holds_no_change(law: BoxInfo | BoxLaw) -> bool:
+    """Return whether the limits of the gains allow the base gains."""
+    return law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
 
 
 def test_framing_damaged(host: Host) -> None:
     """Damaged and unknown frames, and those of a version that nobody speaks, are not taken."""
     host.stream(10)
-    body = host.body()
+    body = other_command(host)
     frame = encode_frame(body)
     damaged = bytearray(cobs.decode(frame[1:-1]))
     damaged[8] ^= 0x10
@@ -124,19 +128,18 @@ def test_framing_damaged(host: Host) -> None:
     whole = map(encode_frame, (version, kind, waveform, body + b"\1", body[:-4]))
     for wrong in (b"\0" + cobs.encode(damaged) + b"\0", frame[:-9] + b"\0", *whole):
         host.line.write(wrong)
-        host.receive(5 + host.lag)
+        host.receive(5 + LATENCY)
     host.check(*GAINS)
 
 
 def test_hello_answered(host: Host) -> None:
     """A HELLO is answered at once, by a sequence of 1 or more, whole DETAILS, and LAW where they offer one."""
-    host.greet(within=25)
-    assert host.hello and host.hello[0], "the answer has sequence 0, which says power-on"
+    host.greet(within=25 + LATENCY)
+    assert host.hello, "the answer has sequence 0, which says power-on"
     info, told = host.info, host.details
     assert info.name and info.integral, "it does not tell its name, or the form of its integral"
     assert not (wrong := bench_mismatches(info, None)), wrong
-    held = info.delta_kp_min <= 0.0 <= info.delta_kp_max and info.delta_ki_min <= 0.0 <= info.delta_ki_max
-    assert held, "its limits of the gains do not hold 0"
+    assert holds_no_change(info), "its limits of the gains do not hold 0"
     assert told.epoch, "no DETAILS came, or their epoch is 0"
     assert 0.0 < told.hold_timeout <= told.trip_timeout, "its time-outs are not in order"
     ranges = told.pressure_min < told.pressure_max and told.position_min < told.position_max
@@ -149,20 +152,9 @@ def test_hello_answered(host: Host) -> None:
 def test_hello_bench(host: Host) -> None:
     """HELLO and DETAILS agree with the bench file."""
     bench = host.bench or pytest.skip("needs the box's bench file: --bench")
-    wrong = bench_mismatches(host.info, bench, host.details)
-    assert not wrong, wrong
+    assert not (wrong := bench_mismatches(host.info, bench, host.details)), wrong
     if not host.details.bench_digest:
         pytest.skip("its digest is not told: valve_current_max alone agrees")
-
-
-def test_hello_safe(host: Host) -> None:
-    """A HELLO puts the safe command in force, ends WATCHDOG, and lets the next command have any sequence."""
-    host.stream(5, times=0, ahead=1000, delta_kp=4.0, filter_fresh=True)
-    host.greet()
-    host.receive(50)
-    host.greet()
-    host.stream(15, times=0, ahead=-900)
-    host.check(*FLAGS, *GAINS)
 
 
 def test_clock_pace(host: Host) -> None:
@@ -180,26 +172,18 @@ def test_order_old(host: Host) -> None:
     for ahead in (0, -1, -(2**31)):
         host.stream(5, times=0, ahead=1000)
         for _ in range(4):
-            host.line.write(encode_frame(host.body(ahead)))
+            host.line.write(encode_frame(other_command(host, ahead)))
             host.receive(20)
     host.check(*GAINS, "WATCHDOG")
 
 
-def test_order_wraps(host: Host) -> None:
-    """Half a circle of 2^32 ahead is newer, over its end too."""
-    for ahead in (2**31 - 1, 2**31 - 48, 1000):
-        host.stream(15, times=0, ahead=ahead)
-
-
 def test_refused_counted(host: Host) -> None:
     """What the box refuses is counted, references by themselves; one of exactly the range of forces is not."""
-    host.stream(15, times=0, delta_kp=1e4, delta_u=nan)
-    host.stream(15, times=0, delta_kp=0.0, delta_u=0.0, **SINE | {"frequency": 0.0})
-    for name, number in (("frequency", -1.0), ("amplitude", -1.0), ("amplitude", 1e7), ("phase", nan)):
-        host.stream(15, times=0, reference=ReferenceSignal(), **SINE | {name: number})
-    most = host.details.force_range
-    for signal in (ReferenceSignal(waveform=Waveform.SINE, amplitude=most), ReferenceSignal(offset=most)):
-        host.stream(15, times=0, reference=signal)
+    most = host.details.force_range / host.force_scale
+    for words in ({"delta_kp": 1e4, "delta_u": nan}, {"delta_kp": 0.0, "delta_u": 0.0, "frequency": -1.0},
+                  {"frequency": 0.0}, {"amplitude": -1.0}, {"amplitude": 1e7}, {"phase": nan},
+                  {"phase": 0.0, "amplitude": most}, {"amplitude": 0.0, "offset": most}):  # fmt: skip
+        host.stream(15, times=0, **SINE | words)
     host.check("refused", "refused_references")
 
 
@@ -236,21 +220,10 @@ def test_compensated_told(host: Host) -> None:
     low, safe, high, rate = np.array(law.shaping_limits)
     ordered = np.all((low <= safe) & (safe <= high) & (rate > 0.0))
     assert ordered, f"{safe} is safe within {low} and {high}, by {rate} a second"
-    held = law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
-    assert held, "its limits of the gains do not hold 0"
+    assert holds_no_change(law), "its limits of the gains do not hold 0"
     host.stream(30, **COMPENSATED)
     assert host.states[-1].law_state.law is Law.COMPENSATED, "the paper's law acts"
     host.check("f_c", "f_c'", *SHAPING)
-
-
-def test_arm_off(host: Host) -> None:
-    """When the arm bit falls the current is 0 at once, and so it is behind a HELLO."""
-    host.stream(200, arm=True, **SINE)
-    host.stream(50, arm=False)
-    host.stream(100, arm=True)
-    host.receive(5)
-    host.greet()
-    host.check("ARMED", "valve_current", *REFERENCE)
 
 
 def test_law_sign(host: Host) -> None:
