@@ -95,12 +95,19 @@ class RecordingPage:
             self.notes.append(f"the first {MARKS_MAX} marks are shown: give a part by --from and --to")
 
     def _add(self, piece: Piece) -> None:
-        if piece.topic in SERIES_TOPICS:
-            self._add_series(piece, SERIES_TOPICS.index(piece.topic))
-        elif piece.topic == "/hydro/policy":
-            if (table := piece.table()) is not None:
-                times = 1e-9 * piece.heads["log_time"] + self._ahead
-                self._collector.add_steps(times, table["weights"].astype(np.int64))
+        if piece.topic in SERIES_TOPICS and (table := piece.table()) is not None:
+            number = SERIES_TOPICS.index(piece.topic)
+            table["time"] = self._clocks[number].convert(table["time"])
+            if number == 0:
+                table = as_states(table, piece.path)
+                self._ahead = float(table["time"][-1] - 1e-9 * piece.heads["log_time"][-1])
+            table = table[(table["time"] >= self._begin) & (table["time"] <= self._end)]
+            if len(table):
+                self._series[number].add(table["time"], column_values(number, table))
+            if len(table) and number == 0:
+                self._collector.add_states(table)
+        elif piece.topic == "/hydro/policy" and (table := piece.table()) is not None:
+            self._collector.add_steps(1e-9 * piece.heads["log_time"] + self._ahead, table["weights"].astype(np.int64))
         elif piece.topic in ("/hydro/authority", "/hydro/training", "/diagnostics", "/rosout"):
             for logged, message in piece.messages():
                 time = logged + self._ahead
@@ -108,30 +115,12 @@ class RecordingPage:
                 if piece.topic == "/hydro/training" and self._begin <= time <= self._end:
                     self._curve.add(message)
 
-    def _add_series(self, piece: Piece, number: int) -> None:
-        if (table := piece.table()) is None:
-            return
-        table["time"] = self._clocks[number].convert(table["time"])
-        if number == 0:
-            table = as_states(table, piece.path)
-            self._ahead = float(table["time"][-1] - 1e-9 * piece.heads["log_time"][-1])
-        table = table[(table["time"] >= self._begin) & (table["time"] <= self._end)]
-        if len(table):
-            self._series[number].add(table["time"], column_values(number, table))
-            if number == 0:
-                self._collector.add_states(table)
-
 
 def render_page(recorded: RecordingPage) -> str:
     """Return the page as HTML."""
     folder, bag = recorded.bag.path.resolve(), recorded.bag
-    about = {
-        "seconds": recorded.seconds,
-        "bin_width": recorded.bin_width,
-        "series": SERIES_COLUMNS,
-        "marks": recorded.marks,
-        "curve": recorded.curve,
-    }
+    about = {name: getattr(recorded, name) for name in ("seconds", "bin_width", "marks", "curve")}
+    about["series"] = SERIES_COLUMNS
     return environment("hydro_bridge", "pages/static").get_template("view.html").render(
         title=f"{folder.name} - hydro",
         name=f"{folder.parent.name}/{folder.name}".removeprefix("/"),
