@@ -142,10 +142,8 @@ def limit_to_stable_range(loop: Loop, design: MetricDesign) -> MetricDesign:
     else:
         return design
     if gain == low:
-        raise ValueError(
-            f"the loop does not decay at K_p = {low:g} 1/s, the lower end of the certified range: take a bench file of "
-            "this box, or a faster valve"
-        )
+        end = f"at K_p = {low:g} 1/s, the lower end of the certified range"
+        raise ValueError(f"the loop does not decay {end}: take a bench file of this box, or a faster valve")
     if not share * gain > low:
         raise ValueError(f"no gain has a certificate: rollouts decay from {low:g} 1/s on, the loop up to {gain:g} 1/s")
     return replace(design, gain_high=min(design.gain_high, float(share * gain)))
@@ -236,10 +234,8 @@ class ScheduledMetric:
         violated, samples = max((self.training.get(key, 0.0), kind) for key, kind in kinds.items())
         if violated <= VIOLATION_LIMIT:
             return ""
-        return (
-            f"the metric {name} is not a certificate, {violated:.0f} % of the held-out samples {samples} do not decay: "
-            "make it on a model that predicts this bench (`ros2 run hydro_sim validate`)"
-        )
+        beyond = f"{violated:.0f} % of the held-out samples {samples} do not decay"
+        return f"the metric {name} is not a certificate, {beyond}: make it on a model that predicts this bench"
 
     @property
     def firmware_fields(self) -> dict[str, Any]:

@@ -347,8 +347,6 @@ def _mcap_files(path: Path) -> list[Path]:
     if not files:
         raise RecordingError(f"{path} is no recording: there is no .mcap in it")
     if missing := [file.name for file in files if not file.exists()]:
-        raise RecordingError(
-            f"{listing} lists {', '.join(missing)}, which is missing: put it back, or remove metadata.yaml to read the "
-            ".mcap files that are there"
-        )
+        names = ", ".join(missing)
+        raise RecordingError(f"{listing} lists {names}, which is missing: put it back, or remove metadata.yaml")
     return files

@@ -369,12 +369,9 @@ def decode(encoded: bytes) -> Frame:
 
 def version_mismatch_message(version: int) -> str:
     """Return the error message for a box of another protocol version."""
-    if version > VERSION:
-        return f"the box speaks a newer protocol than version {VERSION}, and no command is sent: update hydro"
-    return (
-        f"the box speaks an older protocol than version {VERSION}, and no command is sent: rebuild its firmware from "
-        "firmware/ of this version (your_own_box.md)"
-    )
+    newer = version > VERSION
+    age, remedy = ("a newer", "update hydro") if newer else ("an older", "rebuild its firmware from firmware/")
+    return f"the box speaks {age} protocol than version {VERSION}, and no command is sent: {remedy}"
 
 
 def encode_frame(body: bytes) -> bytes:

@@ -50,8 +50,7 @@ def no_frames_message(counts: LinkCounts, before: LinkCounts, seconds: float) ->
         return f"no byte came for {seconds:g} s: is the box on, and is this its port?"
     return (
         f"{size} bytes came and no frame in them for {seconds:g} s: {crc} pieces with a wrong CRC, {malformed} "
-        f"malformed, {version} of a version and {unknown} of a type not known here: is this the box's port, and are "
-        "its bit rate and CRC right?"
+        f"malformed, {version} of a version and {unknown} of a type not known here: are port, bit rate and CRC right?"
     )
 
 

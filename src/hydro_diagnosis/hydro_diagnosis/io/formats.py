@@ -333,10 +333,8 @@ def _tree_columns(tree: Mapping[str, Any], found: Columns) -> Columns:
     set_day_units(found)
     assign_clocks_of_equal_length(found)
     if objects:
-        found.notes.append(
-            f"{', '.join(objects)}: objects of MATLAB cannot be read: save their numbers, of a timetable by "
-            "timetable2table"
-        )
+        called = ", ".join(objects)
+        found.notes.append(f"{called}: objects of MATLAB cannot be read: save numbers, a timetable by timetable2table")
         if not found.series:
             raise InputError(found.notes[-1])
     return found

@@ -303,10 +303,7 @@ def _certify(
         f"range: K_p {design.gain_low:g} to {design.gain_high:g} 1/s" + (f" at {at_c_1}" if at_c_1 else "")
     )
     if law is not None and law.base_kp > design.gain_high:
-        _say(
-            f"the box's base K_p of {law.base_kp:.0f} 1/s is above that range: set a lower one in the box for fewer "
-            "corrections"
-        )
+        _say(f"the box's base K_p of {law.base_kp:.0f} 1/s is above that range: a lower one needs fewer corrections")
     correction, still = RiccatiCorrection.from_design(loop, design), ScheduledMetric.from_design(loop, design)
     metric = refine(still, training, correction, options.seed)
     noise, foreign_noise = noise_levels(metric, loop, plant, clean)
@@ -348,10 +345,8 @@ def require_held_out(held_out: Windows, design: MetricDesign) -> None:
     """Raise ValueError if no stable held-out window has a gain of the certified range."""
     inside = (held_out.gain >= design.gain_low) & (held_out.gain <= design.gain_high)
     if not (inside & (held_out.label == STABLE)).any():
-        raise ValueError(
-            f"no held-out rollout has a gain of the certified range, K_p {design.gain_low:g} to {design.gain_high:g} "
-            "1/s: give more --rollouts"
-        )
+        certified = f"K_p {design.gain_low:g} to {design.gain_high:g} 1/s"
+        raise ValueError(f"no held-out rollout has a gain of the certified range, {certified}: give more --rollouts")
 
 
 def collect_rollouts(
