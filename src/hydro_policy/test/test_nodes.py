@@ -115,6 +115,7 @@ def test_an_interrupted_evaluation_is_resumed_and_compares_a_policy_with_fixed_g
     digests = f"weights {load_policy(policy)[0].digest()}, SHA-256 {sha256(policy.read_bytes()).hexdigest()}"
     assert f"policy {policy}: {digests}" in done.stderr
     assert "2 Hz" in done.stdout and "Best: compensated, with 0." in done.stdout, done.stdout
+    assert ". Best in a box that has the paper's law alone: fixed (100, 15), with " in done.stdout
     assert scores["policy policy"]["rmse"] == pytest.approx(scores["fixed (52.5, 10)"]["rmse"], rel=0.15)
     assert scores["fixed (100, 15)"]["proportional_gain"] > 95, "the guard was opened for it"
     assert folder.evaluation.read_text() == figures.read_text() and folder.tracking_plot.stat().st_size > 10_000

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -14,6 +14,8 @@ import numpy as np
 from hydro_bridge.pages import Section
 from hydro_core.cli.console import Table
 from hydro_core.files.atomic import encode_json, write_atomic
+from hydro_core.signals import FloatArray
+from hydro_policy.evaluation.controllers import PAPER_LAW_COMMAND
 from hydro_policy.evaluation.gain_search import GridSearch
 from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
@@ -52,7 +54,8 @@ def best(session: TrialRunner[Comparison]) -> str:
 
     The best has the smallest mean over the references of RMSE relative to the smallest RMSE of any controller there.
     The RMSE is that of the force on the specimen if the law compensates the load cell (`LiveCompensation.cell`) and it
-    is known. A controller with a stopped or disturbed run is left out.
+    is known. A controller with a stopped or disturbed run is left out. Where the best needs the compensated law, a
+    second sentence names the best of those under the paper's law.
     """
     cases = [case.name for case in session.plan.settings.cases]
     names = dict.fromkeys(score.controller for score in session.scores)
@@ -70,10 +73,19 @@ def best(session: TrialRunner[Comparison]) -> str:
     if len(scores) < 2:
         held_up = dict.fromkeys(score.controller for score in session.scores if score.disturbed)
         return f"Nobody is named the best: the machine was held up in runs of {', '.join(held_up)}." if held_up else ""
-    first, second, *_ = sorted(scores, key=scores.__getitem__)
+    order = sorted(scores, key=scores.__getitem__)
+    papers = {controller.name for controller in session.plan.controllers if controller.law is PAPER_LAW_COMMAND}
+    under_it = [name for name in order if name in papers]
+    told = f"Best: {_margin(order, rmse)}"
+    if order[0] not in papers and len(under_it) > 1:
+        told += f". Best in a box that has the paper's law alone: {_margin(under_it, rmse)}"
+    return told + (", as the specimen feels it." if of_specimen else ".")
+
+
+def _margin(order: Sequence[str], rmse: Mapping[str, FloatArray]) -> str:
+    first, second, *_ = order
     ratio = rmse[first] / rmse[second]
-    told = f"{ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}"
-    return f"Best: {first}, with {told}" + (", as the specimen feels it." if of_specimen else ".")
+    return f"{first}, with {ratio.min():.2f} to {ratio.max():.2f} times the error of the next, {second}"
 
 
 def runs(scores: list[Score], controller: str, case: str) -> list[Score]:
