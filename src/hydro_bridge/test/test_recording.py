@@ -350,12 +350,12 @@ def test_messages_come_at_their_times_freshly_stamped_and_a_jump_of_the_clock_is
             writer.write_states(piece)
             writer.flush()
     came = []
-    for _ in replay(tmp_path / "run", lambda _, data: came.append((time.time(), data))):
+    for _ in replay(tmp_path / "run", lambda _, data: came.append((time.time(), data)), 4.0):
         time.sleep(1e-3)
     replayed = [STATE_CODEC.unpack(data) for _, data in came]
     assert [state.sequence for state in replayed] == list(range(1000, 1300))
     stamps = 1e-9 * np.array([state.stamp for state in replayed])
-    np.testing.assert_allclose(np.delete(np.diff(stamps), 199), 1e-3, atol=2e-6)
+    np.testing.assert_allclose(np.delete(np.diff(stamps), 199), 1e-3 / 4.0, atol=2e-6)
     assert stamps[200] - stamps[199] < 1e-6
     late = np.array([at for at, _ in came]) - stamps
-    assert np.all(late > -1e-3) and np.median(late) < 0.5, "0.3 s in all; the machine may be busy"
+    assert np.all(late > -1e-3)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Replay of a recording in place of a plant: it publishes the recorded messages, and cannot be armed.
 
-ros2 run hydro_bridge replayer BAG [--loop] [--ros-args ...]
+ros2 run hydro_bridge replayer BAG [--speed 1.0] [--loop] [--ros-args ...]
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATE_CODEC
 from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
-from hydro_core.cli.console import UserError, command
+from hydro_core.cli.console import UserError, bounded_number, command
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
@@ -33,18 +33,18 @@ REPLAYED_TOPICS = (STATE, BOX, LAW_STATE, BOX_LAW)
 """Topics that are replayed, as far as they were recorded; each message has a header."""
 
 
-def replay(path: Path, publish: Callable[[str, bytes], None]) -> Iterator[None]:
+def replay(path: Path, publish: Callable[[str, bytes], None], speed: float = 1.0) -> Iterator[None]:
     """Pass the messages of `REPLAYED_TOPICS` to `publish` at their original intervals, each stamped with its due time.
 
-    Each step passes those that are due. Gaps are shortened to 10 s; a clock that was set back is not waited for. Raises
-    RecordingError.
+    Each step passes those that are due. Gaps are shortened to 10 s; a clock that was set back is not waited for.
+    `speed`: recorded seconds per second, above 0. Raises RecordingError.
     """
     began, began_ns, before, due = time.monotonic(), time.time_ns(), None, 0.0
     for _, pieces in groupby(Bag(path).pieces(), key=lambda piece: id(piece.block)):
         there = [piece for piece in pieces if piece.topic in REPLAYED_TOPICS]
         block = [(log_time, piece.topic, data) for piece in there for log_time, data in piece.serialized()]
         for log_time, topic, data in sorted(block, key=itemgetter(0)):
-            due += min(max(1e-9 * (log_time - (before or log_time)), 0.0), 10.0)
+            due += min(max(1e-9 * (log_time - (before or log_time)), 0.0), 10.0) / speed
             before = log_time
             while time.monotonic() < began + due:
                 yield
@@ -64,7 +64,7 @@ class ReplayerNode(Node):
         self._diagnostics = DiagnosticsPublisher(self, lambda: Status(message="replaying", values={}))
         request_realtime(realtime=False)
         passes = count() if options.loop else range(1)
-        self._replay = chain.from_iterable(replay(options.bag, self._publish) for _ in passes)
+        self._replay = chain.from_iterable(replay(options.bag, self._publish, options.speed) for _ in passes)
         self.create_timer(1e-3, self._publish_due, clock=Clock(clock_type=ClockType.STEADY_TIME))
         self.get_logger().info(f"replays {options.bag} as the plant; Ctrl-C ends it")
 
@@ -97,6 +97,9 @@ def main() -> None:
         description="Publish a recording in the place of the bench, each sample stamped again so that none is stale.",
     )
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
+    parser.add_argument(
+        "--speed", type=bounded_number(1e-3), default=1.0, help="recorded s per second (default: %(default)s)"
+    )
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     own, ros = ros_arguments()
     options = parser.parse_args(own)
