@@ -237,6 +237,17 @@ def test_too_little_motion_is_refused_and_the_remedy_is_named(worn: list[Path], 
         load_dataset([tmp_path / "begun.csv"], [worn[2]], BENCH)
 
 
+def test_one_short_stroke_is_too_little_and_its_motion_is_told(tmp_path: Path) -> None:
+    """Its rate is noted; that is no sign of a box that trips, nor does a part held out make its motion none."""
+    time = np.arange(0.0, 1.1, 1.0 / 1500.0)
+    columns = {"time": time, "piston_position": 0.01 + 0.05 * time, "hydraulic_force": 20.0 + np.sin(40.0 * time)}
+    pd.DataFrame(columns).to_csv(tmp_path / "stroke.csv", index=False)
+    with pytest.raises(
+        InputError, match=r"moves for 1\.0 s .*too little to be diagnosed; record 20 s of motion or more$"
+    ):
+        load_dataset([tmp_path / "stroke.csv"], [], BENCH)
+
+
 def test_held_out_recording_that_shows_nothing_is_replaced_and_listed(worn: list[Path], tmp_path: Path) -> None:
     still = tripped(worn[2], tmp_path, 0.0)
     fitted, held, notes = load_dataset(worn[:2], [still], BENCH)

@@ -70,12 +70,13 @@ def load_dataset(
         quality.append(f"{to_check[0].name} was held back to check on")
     fitted = [segment for recording in to_fit for segment in recording.segments]
     held = [segment for recording in to_check for segment in recording.segments]
+    recorded = fitted
     if not to_check:
         fitted, held = split(fitted)
         quality.append(HELD_THIRD_NOTE)
     if fitted:
         require_equation(set.intersection(*(set(one.channels) for one in fitted)), bench, notes)
-    _refuse_too_little(fitted, bench, notes)
+    _refuse_too_little(fitted, recorded, bench)
     fitted = _most_informative(fitted, "fitted", bench, quality)
     return fitted, _most_informative(held, "checked on", bench, quality), quality
 
@@ -167,25 +168,31 @@ def _refuse_twice(recordings: list[Recording]) -> None:
             raise InputError(f"{one.name} and {other.name} hold the same samples: give each recording once")
 
 
-def _refuse_too_little(segments: list[Segment], bench: Bench, notes: list[str]) -> None:
-    """Raise UnusableRecordingError for too little motion, of a bench that trips at once: any hypothesis would fit.
-
-    `notes`: on discarded data. Motion is counted in blocks of a quarter of a second.
-    """
+def _motion(segments: list[Segment], bench: Bench) -> tuple[float, float]:
+    """Time for which the piston moves, and time recorded [s]; motion is counted in blocks of a quarter of a second."""
     moving = lasted = 0.0
     for segment in segments:
-        if "piston_position" not in segment.channels:
-            return
         length = max(round(0.25 / segment.step), 1)
         least = least_travel(segment.channels["piston_position"], bench) / 10.0
         position = segment.channels["piston_position"][: len(segment) // length * length].reshape(-1, length)
         lasted += len(segment) * segment.step
         moving += 0.25 * float(np.count_nonzero(np.ptp(position, axis=1) > least))
-    if moving >= 2.0 * MIN_SEGMENT_TIME:
+    return moving, lasted
+
+
+def _refuse_too_little(fitted: list[Segment], recorded: list[Segment], bench: Bench) -> None:
+    """Raise UnusableRecordingError for too little motion in `fitted`: any hypothesis would fit.
+
+    `recorded`: before a part was held out, of which the sentence speaks.
+    """
+    if any("piston_position" not in segment.channels for segment in recorded):
         return
-    remedy = REMEDY if notes or moving < 0.5 * lasted else "record 20 s of motion or more"
+    if _motion(fitted, bench)[0] >= 2.0 * MIN_SEGMENT_TIME:
+        return
+    moving, lasted = _motion(recorded, bench)
+    remedy = REMEDY if moving < 0.5 * lasted else "record 20 s of motion or more"
     raise UnusableRecordingError(
-        f"the piston moves for {moving:.1f} s in all of what can be fitted: too little to be diagnosed; {remedy}"
+        f"the piston moves for {moving:.1f} s in all of what can be used: too little to be diagnosed; {remedy}"
     )
 
 
