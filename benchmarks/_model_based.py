@@ -11,7 +11,7 @@ Model predictive control on that law: what a bench file says about a reference i
 coefficients held. What the force m differs by from that, and what p within a_3 does, is linear about rest with the same
 numbers; f is the load's own force, d a disturbance that is taken for a random walk::
 
-    v = p' + K_p (p - m) + K_i int (p - m) + d             what the law asks of the valve
+    v = p' + K_p (p - m) - K_i int m + d                   what the law asks of the valve
     s'' = w_v^2 (v - s) - 2 z_v w_v s'                     spool
     f_h' = g s - R f'                                      g, R: input gain over the believed one, h over the spring
     M f'' + b f' = k (f_h - f)
@@ -237,7 +237,7 @@ def loop_model(bench: Bench, law: BoxLaw) -> tuple[FloatArray, FloatArray]:
     a[2, 1] = hydraulics.velocity_term(true, numbers.spring_rest_position, 1.0) / stiff
     a[2, 6] = input_ratio(true, box) * effects.get("valve_gain", {"ratio": 1.0})["ratio"]
     a[4, [0, 3, 4]] = w * w, -w * w, -2.0 * cell.get("damping", 1.0) * w
-    a[5, [3, STATES]] = -law.base_ki, law.base_ki
+    a[5, 3] = -law.base_ki
     a[7, [3, 5, 8, STATES, STATES + 1]] = w_v * w_v * np.array((-law.base_kp, 1.0, 1.0, law.base_kp, 1.0))
     a[7, 6:8] = -w_v * w_v, -2.0 * spool.get("damping", 1.0) * w_v
     moved = expm(a * SAMPLE_PERIOD)

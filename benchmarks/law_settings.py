@@ -3,7 +3,7 @@
 
     python -m benchmarks.law_settings --draw 8 --seed 5501 --set bandwidth=10
     python -m benchmarks.law_settings --draw 8 --seed 5501 --without b_2 b_3
-    python -m benchmarks.law_settings --draw 8 --seed 5501 --commit 7b7d4691      the law as it was, from git
+    python -m benchmarks.law_settings --draw 8 --seed 5501 --commit HEAD~1        the law as it was, from git
     python -m benchmarks.law_settings --yielding --without c_0 c_1 c_2             benches with loads that yield
 
 The six references of `evaluate`, no filter, both laws on the same benches and noise. A trip counts as the reference's
@@ -30,11 +30,12 @@ from benchmarks.controllers import SETTINGS, measure
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.cli.console import Table, command, progress
 from hydro_core.settings import SettingsError, from_mapping
+from hydro_core.signals import NEUTRAL_COEFFICIENTS
 from hydro_policy.compensation.estimator import Compensator, CompensatorSettings
 from hydro_policy.envs import vector_runs
 from hydro_sim.emulator.truth.config import truth_from_mapping
 
-TERMS = ("a_0", "a_1", "a_2", "a_3", "b_0", "b_1", "b_2", "b_3", "c_0", "c_1", "c_2")
+TERMS = ("a_0", "a_1", "a_2", "a_3", "a_4", "b_0", "b_1", "b_2", "b_3", "c_0", "c_1", "c_2")
 PINNED = 1e6
 """Weight in the fit with which a term stays at what it begins with."""
 PACKAGE = "hydro_policy.compensation"
@@ -58,7 +59,7 @@ def variant(settings: CompensatorSettings, without: list[str]) -> Maker:
 def law_of(commit: str, folder: Path) -> Maker:
     """The law of another commit, its two modules written into a package below `folder`.
 
-    Raises SettingsError: git does not know the commit, or the law had no such modules then.
+    Raises SettingsError: git does not know the commit, or its law is none of this version's box.
     """
     package = f"law_of_{commit}"
     (folder / package).mkdir()
@@ -71,6 +72,8 @@ def law_of(commit: str, folder: Path) -> Maker:
     sys.path.insert(0, str(folder))
     made: Any = importlib.import_module(f"{package}.estimator").Compensator
     signals = len(inspect.signature(made.step).parameters) - 1  # f_r came later
+    if made(1).coefficients.shape != (1, len(NEUTRAL_COEFFICIENTS)):
+        raise SettingsError(f"the law of {commit} has other coefficients than a box of this version takes")
 
     class Law(made):  # type: ignore[valid-type]
         law = BoxLaw()  # its limits, which the law of some commits keeps to itself

@@ -113,7 +113,7 @@ def test_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
         probe.spin(2.5)
     assert probe.flags() & Flag.ARMED and not probe.flags() & Flag.TRIPPED
     after = heard[begun - 100 :]
-    a = np.array([(state.a_0, state.a_1, state.a_2, state.a_3) for state in after])
+    a = np.array([(state.a_0, state.a_1, state.a_2, state.a_3, state.a_4) for state in after])
     sequences = np.array([state.sequence for state in after])
     whole = np.diff(sequences) == 1
     changes = np.abs(np.diff(a, axis=0))[whole] / SAMPLE_PERIOD

@@ -31,16 +31,17 @@ DETAILS = protocol.BoxDetails(
 )  # fmt: skip
 LAW = protocol.BoxLaw(
     base_ki=16.0, delta_kp_max=1.0, delta_ki_max=20.0, velocity_compensation=0.25, valve_gain_scale_min=0.75,
-    coefficient_min=(0.75, -0.0625, -(2.0**-10), -60.0), coefficient_max=(1.25, 0.125, 2.0**-8, 60.0),
-    coefficient_rate=(0.5, 0.125, 2.0**-7, 100.0),
+    coefficient_min=(0.75, -0.0625, -(2.0**-10), -60.0, -(2.0**-17)),
+    coefficient_max=(1.25, 0.125, 2.0**-8, 60.0, 2.0**-13), coefficient_rate=(0.5, 0.125, 2.0**-7, 100.0, 2.0**-12),
 )  # fmt: skip
 VALUES = (1.5, 0.0, -2.25, 0.0, 4e6, 6e6, 0.0625, 0.0, 0.015625, 0.015625, -2.0, 0.0, 15.0, 5.0)
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=100.0, offset=-20.0, frequency=2.0, phase=0.5)
 COMPENSATED = Command(
     arm=True, delta_kp=10.0, delta_ki=0.5, delta_u=2.0**-10, corrected_sequence=257, filter_fresh=True, reference=SINE,
-    law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 2.0**-9, -2.0), velocity_compensation=0.25, valve_gain_scale=1.5,
+    law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 2.0**-9, -2.0, 2.0**-15), velocity_compensation=0.25,
+    valve_gain_scale=1.5,
 )  # fmt: skip
-ACTING = protocol.LawState(Law.COMPENSATED, -2.5, 8.0, (1.0, 0.03125, 2.0**-9, -1.0), 0.25, 1.0)
+ACTING = protocol.LawState(Law.COMPENSATED, -2.5, 8.0, (1.0, 0.03125, 2.0**-9, -1.0, 2.0**-15), 0.25, 1.0)
 MADE = [
     protocol.encode_hello(0, 1_000_000),
     protocol.encode_hello(1, 2_000_000, INFO),
@@ -130,7 +131,12 @@ def test_the_numbers_of_the_nominal_box_are_its_settings() -> None:
         ("| base_kp, base_ki | # 1/s, # 1/s^2", BOX.base_kp, BOX.base_ki),
         ("law: base_kp, base_ki | # 1/s, # 1/s^2", law.base_kp, law.base_ki),
         ("law: delta_kp, delta_ki | # to # 1/s, # to # 1/s", *changes),
-        ("limit of f_c | # 1/s, #, # s, # N/s, # 1/s; # N", *law.coefficient_rate, law.scale_rate, law.reference_max),
+        (
+            "limit of f_c | # 1/s, #, # s, # N/s, # s^2, # 1/s; # N",
+            *law.coefficient_rate,
+            law.scale_rate,
+            law.reference_max,
+        ),
         ("| compensated law: C_1, C_2 | # (# to #), # (# to #)", *scales, *gains),
         ("valve_current_max | # A, # A", BOX.delta_u_max, BENCH.valve_current_max),
         ("force_range | # N, # N", BOX.load_force_limit, BOX.force_range),

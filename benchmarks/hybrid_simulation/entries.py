@@ -63,8 +63,6 @@ FORCE_PER_METRE = 1e5
 """N/m, force that our law is given for a displacement: 100 N for 1 mm."""
 ACTS = 5
 """Sample of a policy step from which on the coefficients act that the last one chose, as in the graph."""
-KINK = 4e-3
-"""s, HYDRO_KINK of firmware/hydro/force_law.h."""
 
 
 class Series(NamedTuple):
@@ -101,15 +99,15 @@ class Box(NamedTuple):
     """Our box's reference, f_c: see firmware/hydro/force_law.h."""
 
     wanted: FloatArray
-    """a_0 to a_3 that were commanded, shape (4,)."""
+    """a_0 to a_4 that were commanded, shape (5,)."""
     acting: FloatArray
-    """a_0 to a_3 on their way there, shape (4,)."""
+    """a_0 to a_4 on their way there, shape (5,)."""
     rate: FloatArray
-    """Fastest change of each [1/s], shape (4,)."""
+    """Fastest change of each per s, shape (5,)."""
     limit: float
     """Largest |f_c| [N]."""
     memory: FloatArray
-    """f_r'' without its jumps [N/s^2] and the command [m], shape (2,)."""
+    """The command [m], shape (1,)."""
     samples: FloatArray
     """f_c, f [N], f_r' [N/s], f_r [N] of the policy step, shape (4, 10)."""
 
@@ -165,7 +163,7 @@ def entry(name: str, actuator: Actuator, specimen: Specimen) -> Entry:
         series = _series(_held(denominator[: -TERMS - 1 : -1] / numerator))
     law, samples = BoxLaw(), np.zeros((4, SAMPLES_PER_STEP))
     neutral = np.array(NEUTRAL_COEFFICIENTS), np.array(NEUTRAL_COEFFICIENTS)
-    box = Box(*neutral, np.array(law.coefficient_rate), law.reference_max, np.zeros(2), samples)
+    box = Box(*neutral, np.array(law.coefficient_rate), law.reference_max, np.zeros(1), samples)
     oracle = Oracle(actuator, specimen, np.zeros(3), np.zeros(1))
     return Entry(kind, series, np.zeros(4), box, oracle)
 
@@ -204,7 +202,7 @@ def command(entry, k, target, measured):
     if entry.kind == BOX:
         if k % BOX_EVERY == 0:
             _box(entry.box, k // BOX_EVERY, derivatives, converted(measured))
-        return entry.box.memory[1]
+        return entry.box.memory[0]
     u = 0.0
     for i in range(TERMS):
         u += series.coefficients[i] * derivatives[i]
@@ -344,18 +342,19 @@ def _solved(sums, n):
 @njit
 def _box(box, number, derivatives, measured):
     """f_c of a sample of the box, as hydro_compensate of firmware/hydro/force_law.h makes it of f_r."""
-    value, rate = FORCE_PER_METRE * derivatives[0], FORCE_PER_METRE * derivatives[1] * TEMPO
-    now, third = FORCE_PER_METRE * derivatives[2] * TEMPO**2, FORCE_PER_METRE * derivatives[3] * TEMPO**3
-    ahead = box.memory[0] + 0.5 * SAMPLE_PERIOD * third
-    second = ahead + SAMPLE_PERIOD / (KINK + SAMPLE_PERIOD) * (now - ahead)
-    box.memory[0] = second + 0.5 * SAMPLE_PERIOD * third
+    x, first, second, third = derivatives
+    first += 0.5 * STEP * second + STEP**2 / 3.0 * third  # a box has exact ones: those of the present sample
+    second += STEP * third
+    value, rate = FORCE_PER_METRE * x, FORCE_PER_METRE * first * TEMPO
     sample = number % SAMPLES_PER_STEP
     total = 0.0
-    for i, term in enumerate((value, rate, second, 1.0)):
+    for i, term in enumerate(
+        (value, rate, FORCE_PER_METRE * second * TEMPO**2, 1.0, FORCE_PER_METRE * third * TEMPO**3)
+    ):
         step = box.rate[i] * SAMPLE_PERIOD
         box.acting[i] += min(max(box.wanted[i] - box.acting[i], -step), step)
         total += box.acting[i] * term
     commanded = min(max(total, -box.limit), box.limit)
-    box.memory[1] = converted(commanded / FORCE_PER_METRE)
+    box.memory[0] = converted(commanded / FORCE_PER_METRE)
     box.samples[0, sample], box.samples[1, sample] = commanded, FORCE_PER_METRE * measured
     box.samples[2, sample], box.samples[3, sample] = rate, value

@@ -143,7 +143,7 @@ static inline bool hydro_box_control(hydro_box *box, const hydro_real *measureme
     error = box->acting.reference - force;
     nominal = hydro_nominal_current(
         config, measurement, error, hydro_action(config->integral_form, box->integral, values[HYDRO_KI]),
-        box->acting.reference_rate, values[HYDRO_KP], box->acting.shaping + 4);
+        box->acting.reference_rate, values[HYDRO_KP], box->acting.shaping + HYDRO_COEFFICIENTS);
     if (!hydro_finite(nominal)) { /* nothing that was admitted leads here; the valve must not depend on that */
         box->arming.armed = false;
         box->arming.tripped = true;
@@ -155,7 +155,7 @@ static inline bool hydro_box_control(hydro_box *box, const hydro_real *measureme
     unlimited = held || time - box->arming.received_at > HYDRO_CORRECTION_HOLD ? nominal : nominal + box->guard.delta_u;
     current = hydro_clamp(unlimited, -limit, limit);
     box->integral = hydro_integrate(
-        config->integral_form, box->integral, error, values[HYDRO_KI], unlimited - current);
+        config->integral_form, box->integral, wave.value - force, values[HYDRO_KI], unlimited - current);
     values[HYDRO_CURRENT] = current;
     values[HYDRO_NOMINAL] = nominal;
     values[HYDRO_REFERENCE] = wave.value;
@@ -181,7 +181,7 @@ static inline hydro_real hydro_box_tick(hydro_box *box, const hydro_real *measur
     law = &config->laws[box->acting.law];
     if (begins) {
         hydro_copy(box->acting.shaping, law->safe, sizeof law->safe);
-        box->integral = box->acting.second = HYDRO_R(0);
+        box->integral = HYDRO_R(0);
         hydro_begin(&box->reference, measurement[config->feedback], time);
     }
     box->sample.time = time;

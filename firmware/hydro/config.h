@@ -19,10 +19,11 @@ typedef struct {
     hydro_real valve_current_max; /* A */
 } hydro_bench;
 
-/* A force law: gains, and its shaping a_0 [-], a_1 [s], a_2 [s^2], a_3 [N], C_1, C_2 with limits and fastest changes.
- * Without commands it returns to its base gains and to `safe`, where f_c = f_r.
+/* A force law: gains, and its shaping a_0 [-], a_1 [s], a_2 [s^2], a_3 [N], a_4 [s^3], C_1, C_2 with limits and fastest
+ * changes. Without commands it returns to its base gains and to `safe`, where f_c = f_r.
  */
-#define HYDRO_SHAPING 6
+#define HYDRO_SHAPING 7
+#define HYDRO_COEFFICIENTS 5 /* a_0 to a_4, before C_1 and C_2 */
 
 enum { HYDRO_PAPER = 0, HYDRO_COMPENSATED = 1 };
 

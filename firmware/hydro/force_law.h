@@ -6,26 +6,21 @@
 #include "reference.h"
 
 #define HYDRO_BUMPLESS 2u
-#define HYDRO_KINK 4e-3 /* s, time constant with which a jump of f_r'' comes into f_c */
 
-/* f_c into `state`, whose shaping comes nearer to the wanted one by one sample; where f_c is cut off, f_c' is 0. */
+/* f_c into `state`, whose shaping comes nearer to the wanted one by one sample; where f_c is cut off, f_c' is 0. f_c
+ * jumps with its second and third derivative. */
 static inline void hydro_compensate(
     hydro_law_state *state, const hydro_law *law, const hydro_real *wanted, const hydro_wave *wave)
 {
-    const hydro_real period = HYDRO_R(HYDRO_PERIOD), half = HYDRO_R(0.5) * period;
-    const hydro_real ahead = state->second + half * wave->third;
-    const hydro_real second =
-        ahead + HYDRO_R(HYDRO_PERIOD / (HYDRO_KINK + HYDRO_PERIOD)) * (wave->second - ahead);
-    const hydro_real third = wave->third + (wave->second - second) / HYDRO_R(HYDRO_KINK);
-    const hydro_real terms[4] = {wave->value, wave->rate, second, HYDRO_R(1)};
-    const hydro_real slopes[4] = {wave->rate, wave->second, third, HYDRO_R(0)};
+    const hydro_real period = HYDRO_R(HYDRO_PERIOD);
+    const hydro_real terms[HYDRO_COEFFICIENTS] = {wave->value, wave->rate, wave->second, HYDRO_R(1), wave->third};
+    const hydro_real slopes[HYDRO_COEFFICIENTS] = {wave->rate, wave->second, wave->third, HYDRO_R(0), wave->fourth};
     hydro_real value = HYDRO_R(0), rate = HYDRO_R(0);
-    state->second = second + half * wave->third;
     for (int i = 0; i < HYDRO_SHAPING; i++) {
         hydro_real step = law->rate[i] * period;
         hydro_real change = hydro_clamp(wanted[i] - state->shaping[i], -step, step);
         state->shaping[i] += change;
-        if (i < 4) {
+        if (i < HYDRO_COEFFICIENTS) {
             value += state->shaping[i] * terms[i];
             rate += state->shaping[i] * slopes[i] + change / period * terms[i];
         }
@@ -102,7 +97,8 @@ static inline hydro_real hydro_action(uint32_t form, hydro_real integral, hydro_
     return form == HYDRO_BUMPLESS ? integral : integral_gain * integral;
 }
 
-/* What the integrator carries after one period; it stands while K_i e would push a saturated current further out. */
+/* What the integrator carries after one period, e = f_r - f; it stands while K_i e would push a saturated current
+ * further out. */
 static inline hydro_real hydro_integrate(
     uint32_t form, hydro_real integral, hydro_real error, hydro_real integral_gain, hydro_real beyond)
 {

@@ -5,9 +5,9 @@
 
 #include "config.h"
 
-#define HYDRO_VERSION 3u /* the only one; HELLO has 0, so that any two ends can read it */
+#define HYDRO_VERSION 4u /* the only one; HELLO has 0, so that any two ends can read it */
 #define HYDRO_ENCODED_MAX 160u /* bytes between two delimiters; more is noise */
-#define HYDRO_FRAME_MAX 129u   /* bytes of the longest frame that a box sends, delimiters included */
+#define HYDRO_FRAME_MAX 141u   /* bytes of the longest frame that a box sends, delimiters included */
 #define HYDRO_HEADER 14u
 #define HYDRO_STATE_REALS 14
 
@@ -43,13 +43,12 @@ typedef struct {
     hydro_real shaping[HYDRO_SHAPING];
 } hydro_command;
 
-#define HYDRO_NEUTRAL {1, 0, 0, 0, 1, 1} /* shaping of the paper's law */
+#define HYDRO_NEUTRAL {1, 0, 0, 0, 0, 1, 1} /* shaping of the paper's law */
 
 /* The force law as it acted in a sample: f_c [N], f_c' [N/s], and its shaping. */
 typedef struct {
     uint32_t law;
     hydro_real reference, reference_rate, shaping[HYDRO_SHAPING];
-    hydro_real second; /* N/s^2, what f_c takes f_r'' for, on the way to the next sample */
 } hydro_law_state;
 
 /* One sample, laid out as hydro_core.signals.STATE_DTYPE where hydro_real is double. */
@@ -152,7 +151,7 @@ static inline size_t hydro_encode_state(
     const hydro_sample *sample, uint32_t last_command, const uint32_t refused[2], const hydro_law_state *acting,
     uint8_t *out)
 {
-    uint8_t body[HYDRO_HEADER + 108 + 4];
+    uint8_t body[HYDRO_HEADER + 112 + 4];
     uint8_t *at = hydro_write_reals(body + HYDRO_HEADER, sample->values, HYDRO_STATE_REALS);
     hydro_head(body, HYDRO_VERSION, HYDRO_STATE, sample->sequence, (uint64_t)(sample->time * 1e6 + 0.5));
     hydro_write32(at, sample->flags);
@@ -163,7 +162,7 @@ static inline size_t hydro_encode_state(
     at = hydro_write_reals(at + 20, &acting->reference, 1);
     at = hydro_write_reals(at, &acting->reference_rate, 1);
     (void)hydro_write_reals(at, acting->shaping, HYDRO_SHAPING);
-    return hydro_wrap(body, HYDRO_HEADER + 108, out);
+    return hydro_wrap(body, HYDRO_HEADER + 112, out);
 }
 
 static inline size_t hydro_encode_hello(uint32_t sequence, uint64_t time_us, const hydro_config *config, uint8_t *out)
@@ -205,20 +204,20 @@ static inline size_t hydro_encode_details(
 /* The compensated law. */
 static inline size_t hydro_encode_law(uint32_t sequence, uint64_t time_us, const hydro_config *config, uint8_t *out)
 {
-    uint8_t body[HYDRO_HEADER + 108 + 4];
+    uint8_t body[HYDRO_HEADER + 120 + 4];
     uint8_t *at = body + HYDRO_HEADER;
     const hydro_law *law = &config->laws[HYDRO_COMPENSATED];
     const hydro_real numbers[14] = {
         law->base_kp, law->base_ki, law->delta_kp_min, law->delta_kp_max, law->delta_ki_min, law->delta_ki_max,
-        law->safe[4], law->low[4], law->high[4], law->safe[5], law->low[5], law->high[5], law->rate[4],
+        law->safe[5], law->low[5], law->high[5], law->safe[6], law->low[6], law->high[6], law->rate[5],
         law->reference_max};
     hydro_head(body, HYDRO_VERSION, HYDRO_LAW, sequence, time_us);
     hydro_write32(at, HYDRO_COMPENSATED);
     at = hydro_write_reals(at + 4, numbers, 14);
-    at = hydro_write_reals(at, law->low, 4);
-    at = hydro_write_reals(at, law->high, 4);
-    (void)hydro_write_reals(at, law->rate, 4);
-    return hydro_wrap(body, HYDRO_HEADER + 108, out);
+    at = hydro_write_reals(at, law->low, HYDRO_COEFFICIENTS);
+    at = hydro_write_reals(at, law->high, HYDRO_COEFFICIENTS);
+    (void)hydro_write_reals(at, law->rate, HYDRO_COEFFICIENTS);
+    return hydro_wrap(body, HYDRO_HEADER + 120, out);
 }
 
 /* A finite float32 of the line; one that is not finite gives 0 and sets `bit` of `broken`. */

@@ -14,9 +14,9 @@ typedef struct {
     hydro_time fade_start;
 } hydro_reference;
 
-/* f_r [N], f_r' [N/s], f_r'' [N/s^2], f_r''' [N/s^3]; at a kink of f_r' those of the side that follows. */
+/* f_r [N], f_r' [N/s], f_r'' [N/s^2], f_r''' [N/s^3], f_r'''' [N/s^4]; at a kink those of the side that follows. */
 typedef struct {
-    hydro_real value, rate, second, third;
+    hydro_real value, rate, second, third, fourth;
 } hydro_wave;
 
 static inline hydro_wave hydro_multisine(hydro_time angle, hydro_time phase)
@@ -24,7 +24,7 @@ static inline hydro_wave hydro_multisine(hydro_time angle, hydro_time phase)
     static const hydro_time ratios[4] = {1.0, 1.7320508075688772, 2.6457513110645907, 3.605551275463989};
     static const hydro_time weights[4] = {
         0.44789526038332517, 0.2585924491510704, 0.1692884960541141, 0.1242237944114903};
-    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)};
+    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)};
     for (int i = 0; i < 4; i++) {
         hydro_real inner = hydro_turned(ratios[i] * angle + (hydro_time)(i + 1) * phase);
         hydro_real sine = (hydro_real)weights[i] * HYDRO_SIN(inner);
@@ -34,6 +34,7 @@ static inline hydro_wave hydro_multisine(hydro_time angle, hydro_time phase)
         shape.rate += cosine;
         shape.second -= square * sine;
         shape.third -= square * cosine;
+        shape.fourth += square * square * sine;
     }
     return shape;
 }
@@ -42,7 +43,7 @@ static inline hydro_wave hydro_smooth_step(hydro_time angle)
 {
     hydro_time turn = hydro_fraction(angle / (2.0 * HYDRO_PI));
     hydro_real side = turn < 0.5 ? HYDRO_R(1) : HYDRO_R(-1);
-    hydro_wave shape = {side, HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)};
+    hydro_wave shape = {side, HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)};
     hydro_real edge, steep = HYDRO_R(1.0 / (2.0 * HYDRO_EDGE));
     while (turn >= 0.5) {
         turn -= 0.5;
@@ -53,6 +54,7 @@ static inline hydro_wave hydro_smooth_step(hydro_time angle)
         shape.rate = side * HYDRO_SIN(edge) * steep;
         shape.second = -shape.value * steep * steep;
         shape.third = -shape.rate * steep * steep;
+        shape.fourth = -shape.second * steep * steep;
     }
     return shape;
 }
@@ -63,13 +65,14 @@ static inline hydro_wave hydro_play(const hydro_signal *signal, hydro_time time)
     hydro_time omega = 2.0 * HYDRO_PI * signal->frequency;
     hydro_time angle = omega * (time - signal->start);
     hydro_real rate = signal->amplitude * (hydro_real)omega;
-    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)}, result;
+    hydro_wave shape = {HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0), HYDRO_R(0)}, result;
     if (signal->waveform == HYDRO_SINE) {
         hydro_real turned = hydro_turned(angle + signal->phase);
         shape.value = HYDRO_SIN(turned);
         shape.rate = HYDRO_COS(turned);
         shape.second = -shape.value;
         shape.third = -shape.rate;
+        shape.fourth = shape.value;
     } else if (signal->waveform == HYDRO_MULTISINE) {
         shape = hydro_multisine(angle, signal->phase);
     } else if (signal->waveform == HYDRO_SMOOTH_STEP) {
@@ -79,6 +82,7 @@ static inline hydro_wave hydro_play(const hydro_signal *signal, hydro_time time)
     result.rate = rate * shape.rate;
     result.second = rate * (hydro_real)omega * shape.second;
     result.third = rate * (hydro_real)omega * (hydro_real)omega * shape.third;
+    result.fourth = rate * (hydro_real)omega * (hydro_real)omega * (hydro_real)omega * shape.fourth;
     return result;
 }
 
@@ -116,7 +120,7 @@ static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time ti
 {
     hydro_wave wave, old;
     hydro_time part;
-    hydro_real share, blend, blend_1, blend_2, blend_3, gap, gap_rate;
+    hydro_real share, blend, blend_1, blend_2, blend_3, gap, gap_rate, gap_second;
     if (time - reference->fade_start >= HYDRO_FADE && !hydro_same(&reference->wanted, &reference->coming)) {
         reference->leaving = reference->coming;
         hydro_take_up(reference, time);
@@ -134,8 +138,12 @@ static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time ti
     blend_3 = HYDRO_R(-12) / HYDRO_R(HYDRO_FADE * HYDRO_FADE * HYDRO_FADE);
     gap = wave.value - old.value;
     gap_rate = wave.rate - old.rate;
+    gap_second = wave.second - old.second;
+    wave.fourth = (HYDRO_R(1) - blend) * old.fourth + blend * wave.fourth
+                  + (HYDRO_R(4) * blend_1 * (wave.third - old.third) + HYDRO_R(6) * blend_2 * gap_second
+                     + HYDRO_R(4) * blend_3 * gap_rate);
     wave.third = (HYDRO_R(1) - blend) * old.third + blend * wave.third
-                 + (HYDRO_R(3) * blend_1 * (wave.second - old.second) + HYDRO_R(3) * blend_2 * gap_rate + blend_3 * gap);
+                 + (HYDRO_R(3) * blend_1 * gap_second + HYDRO_R(3) * blend_2 * gap_rate + blend_3 * gap);
     wave.second =
         (HYDRO_R(1) - blend) * old.second + blend * wave.second + HYDRO_R(2) * blend_1 * gap_rate + blend_2 * gap;
     wave.rate = (HYDRO_R(1) - blend) * old.rate + blend * wave.rate + blend_1 * gap;

@@ -19,9 +19,10 @@
 
 static const hydro_config CONFIG = {
     .bench = {1.34e9f, 2e-4f, 0.609f, 0.08f, 16e6f, 0.0f, 2e-4f, 2e-4f, 1.785e-6f, 0.05f},
-    .laws = {{15, 5, -55, 285, -25, 95, HYDRO_R(1e30), HYDRO_NEUTRAL, HYDRO_NEUTRAL, HYDRO_NEUTRAL, {1, 1, 1, 1, 1, 1}},
-             {400, 16, -385, 1, -10, 20, 700, {1, 0, 0, 0, 0.25f, 1}, {0.75f, -0.0625f, -0.0009765625f, -60, 0, 0.75f},
-              {1.25f, 0.125f, 0.00390625f, 60, 0.5f, 3}, {0.5f, 0.125f, 0.0078125f, 100, 1, 2}}},
+    .laws = {{15, 5, -55, 285, -25, 95, HYDRO_R(1e30), HYDRO_NEUTRAL, HYDRO_NEUTRAL, HYDRO_NEUTRAL, {1, 1, 1, 1, 1, 1, 1}},
+             {400, 16, -385, 1, -10, 20, 700, {1, 0, 0, 0, 0, 0.25f, 1},
+              {0.75f, -0.0625f, -0.0009765625f, -60, -0x1p-17f, 0, 0.75f}, {1.25f, 0.125f, 0.00390625f, 60, 0x1p-13f, 0.5f, 3},
+              {0.5f, 0.125f, 0.0078125f, 100, 0x1p-12f, 1, 2}}},
     .delta_u_max = HYDRO_R(0.1), .load_force_limit = 700, .gain_floor = 100000, .force_range = 5000,
     .recovery_margin = 20,
     .low = {-5000, HYDRO_R(-1e8), -5000, HYDRO_R(-1e8), HYDRO_R(-0.5e6), HYDRO_R(-0.5e6), HYDRO_R(-5e-3), -10},

@@ -35,7 +35,7 @@ int main(int argc, char **argv)
                                          "greeting", "host"};
     static hydro_box box;
     const float gains[3] = {10.0f, 1.0f, 0.001f};
-    const float shaping[HYDRO_SHAPING] = {1.0f, 0.03125f, 0.001f, 1.0f, 0.25f, 1.0f};
+    const float shaping[HYDRO_SHAPING] = {1.0f, 0.03125f, 0.001f, 1.0f, 1e-5f, 0.25f, 1.0f};
     uint8_t payload[72] = {0}, wire[HYDRO_ENCODED_MAX], out[HYDRO_BURST_MAX];
     uint32_t kind = 0, samples = argc > 2 ? (uint32_t)strtoul(argv[2], NULL, 10) : 1000;
     CHECK(argc > 2);
@@ -62,7 +62,7 @@ int main(int argc, char **argv)
         host_command(payload, kind == 5 || k == 0 ? 0u : 3u, gains, kind == 4 ? HYDRO_MULTISINE : kind % 4, shape);
         payload[40] = HYDRO_COMPENSATED;
         memcpy(payload + 44, shaping, sizeof shaping);
-        size_t count = host_frame(3, HYDRO_COMMAND, k + 1, payload, 72, wire);
+        size_t count = host_frame(HYDRO_VERSION, HYDRO_COMMAND, k + 1, payload, 72, wire);
         if (kind == 7) {
             CHECK(count == 93 && wire[0] == 0);
             continue;

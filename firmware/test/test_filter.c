@@ -231,7 +231,7 @@ static void test_what_is_believed(void)
 
 static void test_a_sample_of_a_box_has_the_law_that_acts(void)
 {
-    const hydro_law_state acting = {.reference = 3, .reference_rate = 4, .shaping = {0, 0, 0, 0, 5, 6}};
+    const hydro_law_state acting = {.reference = 3, .reference_rate = 4, .shaping = {0, 0, 0, 0, 0, 5, 6}};
     hydro_real values[HYDRO_STATE_REALS];
     hydro_loop_sample seen;
     for (int i = 0; i < HYDRO_STATE_REALS; i++) {

@@ -8,33 +8,33 @@
 #include "check.h"
 
 static const char HOST_HELLO[] =
-    "00 01 02 01 01 01 01 04 40 42 0f 01 01 01 01 03 03 03 01 01 01 01 01 01 01 01 01 01 01 01 01 01 "
+    "00 01 02 01 01 01 01 04 40 42 0f 01 01 01 01 03 04 04 01 01 01 01 01 01 01 01 01 01 01 01 01 01 "
     "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 "
-    "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 05 cb 4e f7 48 00 ";
+    "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 05 fe ea 1b df 00 ";
 static const char HELLO[] =
-    "00 01 03 01 01 01 01 04 80 84 1e 01 01 01 01 10 03 03 01 02 65 78 61 6d 70 6c 65 20 31 2e 30 01 "
+    "00 01 03 01 01 01 01 04 80 84 1e 01 01 01 01 10 04 04 01 02 65 78 61 6d 70 6c 65 20 31 2e 30 01 "
     "01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 01 05 cd cc 4c 3d 01 03 70 41 01 03 a0 40 "
-    "01 03 a0 c0 01 03 96 42 01 01 01 01 01 0f 20 41 cd cc cc 3d 6f 12 83 3a 78 73 52 b8 00 ";
+    "01 03 a0 c0 01 03 96 42 01 01 01 01 01 0f 20 41 cd cc cc 3d 6f 12 83 3a 4d d7 be 2f 00 ";
 static const char DETAILS[] =
-    "00 04 03 04 01 01 01 04 80 84 1e 01 01 01 01 02 07 01 01 0f 30 31 32 33 34 35 36 37 38 39 61 62 "
+    "00 04 04 04 01 01 01 04 80 84 1e 01 01 01 01 02 07 01 01 0f 30 31 32 33 34 35 36 37 38 39 61 62 "
     "01 03 01 01 01 03 2f 44 04 40 9c 45 24 24 f4 c8 20 bc be 4b 0a d7 a3 bb 7b 14 ae 3d cd cc 4c 3d "
-    "cd cc 4c 3e 6f 12 03 3b 6f 12 83 3a 38 81 f6 bc 00 ";
+    "cd cc 4c 3e 6f 12 03 3b 6f 12 83 3a 7a 2d 8a 65 00 ";
 static const char LAW[] =
-    "00 04 03 05 01 01 01 04 80 84 1e 01 01 01 01 02 01 01 01 01 01 03 c8 43 01 03 80 41 04 80 c0 c3 "
+    "00 04 04 05 01 01 01 04 80 84 1e 01 01 01 01 02 01 01 01 01 01 03 c8 43 01 03 80 41 04 80 c0 c3 "
     "01 03 80 3f 01 03 20 c1 01 03 a0 41 01 03 80 3e 01 01 01 01 01 01 02 3f 01 03 80 3f 01 03 40 3f "
-    "01 03 40 40 01 03 80 3f 01 03 2f 44 01 03 40 3f 01 03 80 bd 01 03 80 ba 01 03 70 c2 01 03 a0 3f "
-    "01 01 02 3e 01 03 80 3b 01 03 70 42 01 01 02 3f 01 01 02 3e 01 01 02 3c 01 07 c8 42 2f 1b d7 02 "
-    "00 ";
+    "01 03 40 40 01 03 80 3f 01 03 2f 44 01 03 40 3f 01 03 80 bd 01 03 80 ba 01 03 70 c2 01 01 02 b7 "
+    "01 03 a0 3f 01 01 02 3e 01 03 80 3b 01 03 70 42 01 01 02 39 01 01 02 3f 01 01 02 3e 01 01 02 3c "
+    "01 03 c8 42 01 07 80 39 42 6a f8 21 00 ";
 static const char STATE[] =
-    "00 05 03 02 02 01 01 04 d0 ef 03 01 01 01 01 01 01 03 c0 3f 01 01 01 01 01 03 10 c0 01 01 01 01 "
+    "00 05 04 02 02 01 01 04 d0 ef 03 01 01 01 01 01 01 03 c0 3f 01 01 01 01 01 03 10 c0 01 01 01 01 "
     "04 24 74 4a 04 1b b7 4a 01 03 80 3d 01 01 01 01 01 03 80 3c 01 03 80 3c 01 01 02 c0 01 01 01 01 "
     "01 03 70 41 01 04 a0 40 41 01 01 02 03 01 01 02 01 01 01 02 01 01 01 02 01 01 01 01 01 03 20 c0 "
-    "01 01 02 41 01 03 80 3f 01 01 02 3d 01 01 02 3b 01 03 80 bf 01 03 80 3e 01 07 80 3f 36 8d b2 e4 "
-    "00 ";
+    "01 01 02 41 01 03 80 3f 01 01 02 3d 01 01 02 3b 01 03 80 bf 01 01 02 38 01 03 80 3e 01 07 80 3f "
+    "64 86 0c 24 00 ";
 static const char COMMAND[] =
-    "00 04 03 03 03 01 01 04 f8 4d 0f 01 01 01 01 02 03 01 01 03 01 01 01 01 01 03 20 41 01 01 02 3f "
+    "00 04 04 03 03 01 01 04 f8 4d 0f 01 01 01 01 02 03 01 01 03 01 01 01 01 01 03 20 41 01 01 02 3f "
     "01 04 80 3a 01 01 01 01 01 03 c8 42 01 03 a0 c1 01 01 02 40 01 01 03 3f 01 01 01 01 01 03 80 3f "
-    "01 03 80 3d 01 01 02 3b 01 01 02 c0 01 03 80 3e 01 03 c0 3f 01 01 01 05 b6 71 db f2 00 ";
+    "01 03 80 3d 01 01 02 3b 01 01 02 c0 01 01 02 38 01 03 80 3e 01 07 c0 3f 06 4b 8e 5b 00 ";
 
 static size_t bytes_of(const char *text, uint8_t *out)
 {
@@ -58,7 +58,7 @@ static void test_frames_of_the_page(void)
     hydro_config config = CONFIG;
     hydro_law *law = &config.laws[HYDRO_PAPER];
     const hydro_law_state acting = {
-        HYDRO_COMPENSATED, HYDRO_R(-2.5), 8, {1, HYDRO_R(0.03125), HYDRO_R(0.001953125), -1, HYDRO_R(0.25), 1}, 0};
+        HYDRO_COMPENSATED, HYDRO_R(-2.5), 8, {1, HYDRO_R(0.03125), HYDRO_R(0.001953125), -1, HYDRO_R(0x1p-15), HYDRO_R(0.25), 1}};
     hydro_sample sample = {0.258, 258, {0}, HYDRO_ARMED | HYDRO_FILTER_STALE};
     memset(config.name, 0, sizeof config.name);
     memcpy(config.name, "example 1.0", 11);
@@ -90,7 +90,7 @@ static void test_a_command_of_the_page(void)
     uint8_t wire[HYDRO_ENCODED_MAX];
     const hydro_signal *reference = &command.reference;
     const hydro_real wanted[HYDRO_SHAPING] = {
-        1, HYDRO_R(0.0625), HYDRO_R(0.001953125), -2, HYDRO_R(0.25), HYDRO_R(1.5)};
+        1, HYDRO_R(0.0625), HYDRO_R(0.001953125), -2, HYDRO_R(0x1p-15), HYDRO_R(0.25), HYDRO_R(1.5)};
     hydro_stream_reset(&stream);
     CHECK(feed(&stream, &body, wire, bytes_of(HOST_HELLO, wire)) == 1 && body.kind == HYDRO_HELLO);
     memset(&command, 0xAA, sizeof command);
@@ -107,12 +107,12 @@ static void test_a_command_of_the_page(void)
 /* Each number of a COMMAND that is none has its bit, each bit its meaning. */
 static void test_parts_of_a_command(void)
 {
-    static const uint32_t bit[] = {1, 2, 4, 0, 8, 8, 8, 8, 0, 16, 32, 64, 128, 256, 512, 0};
+    static const uint32_t bit[] = {1, 2, 4, 0, 8, 8, 8, 8, 0, 16, 32, 64, 128, 256, 512, 1024};
     const float none = number(0x7FC00000u);
     hydro_command command;
-    for (size_t i = 0; i < 16; i++) { /* the last one is reserved */
+    for (size_t i = 0; i < 16; i++) {
         uint8_t payload[72] = {0};
-        if (bit[i] != 0 || i == 15) {
+        if (bit[i] != 0) {
             memcpy(payload + 8 + 4 * i, &none, 4);
         }
         CHECK(hydro_decode_command(1, payload, &command) && command.broken == bit[i]);

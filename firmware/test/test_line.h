@@ -5,7 +5,7 @@
 
 #include "check.h"
 
-#define GREETING (93u + 81u + 129u) /* bytes of HELLO, DETAILS and LAW */
+#define GREETING (93u + 81u + 141u) /* bytes of HELLO, DETAILS and LAW */
 
 static const float NO_GAINS[3] = {0.0f, 0.0f, 0.0f}, REST[4] = {0.0f, 0.0f, 1.0f, 0.0f};
 
@@ -28,7 +28,7 @@ static void test_stream(void)
     memset(&stream, 0xAA, sizeof stream);
     hydro_stream_reset(&stream);
     host_command(payload, 2, NO_GAINS, HYDRO_HOLD, REST);
-    count = host_frame(3, HYDRO_COMMAND, 7, payload, 72, wire);
+    count = host_frame(HYDRO_VERSION, HYDRO_COMMAND, 7, payload, 72, wire);
     CHECK(feed(&stream, &body, wire, count) == 1 && body.sequence == 7 && body.length == 72);
     CHECK(feed(&stream, &body, wire, count - 9) == 0 && feed(&stream, &body, wire, count) == 1);
     CHECK(stream.frames == 2 && stream.bad == 1); /* the truncated one */
@@ -42,17 +42,17 @@ static void test_stream(void)
     wire[HYDRO_ENCODED_MAX] = 1;
     wire[HYDRO_ENCODED_MAX + 1] = 0;
     CHECK(feed(&stream, &body, wire, HYDRO_ENCODED_MAX + 2) == 0 && stream.bad == 6); /* a byte too long */
-    for (uint8_t version = 0; version < 5; version++) {
+    for (uint8_t version = 0; version < 6; version++) {
         count = host_frame(version, HYDRO_COMMAND, 1, payload, 72, wire);
         CHECK(feed(&stream, &body, wire, count) == (version == HYDRO_VERSION));
         count = host_frame(version, HYDRO_HELLO, 1, payload, 72, wire);
         CHECK(feed(&stream, &body, wire, count) == (version == 0));
     }
-    CHECK(stream.foreign == 4 + 4 && stream.unknown == 0 && stream.frames == 4);
-    CHECK(feed(&stream, &body, wire, host_frame(3, HYDRO_STATE, 1, payload, 64, wire)) == 0 && stream.unknown == 1);
-    CHECK(feed(&stream, &body, wire, host_frame(3, HYDRO_COMMAND, 1, payload, 73, wire)) == 0 && stream.bad == 7);
+    CHECK(stream.foreign == 5 + 5 && stream.unknown == 0 && stream.frames == 4);
+    CHECK(feed(&stream, &body, wire, host_frame(HYDRO_VERSION, HYDRO_STATE, 1, payload, 64, wire)) == 0 && stream.unknown == 1);
+    CHECK(feed(&stream, &body, wire, host_frame(HYDRO_VERSION, HYDRO_COMMAND, 1, payload, 73, wire)) == 0 && stream.bad == 7);
     CHECK(feed(&stream, &body, wire, host_frame(0, HYDRO_HELLO, 1, payload, 73, wire)) == 0 && stream.bad == 8);
-    CHECK(feed(&stream, &body, wire, host_frame(3, HYDRO_COMMAND, 1, payload, 40, wire)) == 0 && stream.bad == 9);
+    CHECK(feed(&stream, &body, wire, host_frame(HYDRO_VERSION, HYDRO_COMMAND, 1, payload, 40, wire)) == 0 && stream.bad == 9);
 }
 
 /* Pieces of the shortest and the longest length that may be a frame, and a byte beyond each. */
@@ -63,7 +63,7 @@ static void test_lengths(void)
     uint8_t data[HYDRO_ENCODED_MAX], wire[HYDRO_ENCODED_MAX + 8];
     hydro_stream_reset(&stream);
     memset(data, 1, sizeof data);
-    CHECK(feed(&stream, &body, wire, host_frame(3, 200, 1, data, 0, wire)) == 0 && stream.unknown == 1);
+    CHECK(feed(&stream, &body, wire, host_frame(HYDRO_VERSION, 200, 1, data, 0, wire)) == 0 && stream.unknown == 1);
     CHECK(feed(&stream, &body, wire, hydro_wrap(data, HYDRO_HEADER - 1, wire)) == 0 && stream.bad == 1);
     data[0] = HYDRO_VERSION;
     data[1] = 200;
@@ -106,10 +106,10 @@ static void test_conversation(void)
     hydro_box_power_on(&box, &hydraulic, 9);
     CHECK(box.hellos == 0);
     host_command(payload, 0, broken, HYDRO_SMOOTH_STEP + 1, REST);
-    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 5, payload, 72, wire));
+    hydro_box_bytes(&box, wire, host_frame(HYDRO_VERSION, HYDRO_COMMAND, 5, payload, 72, wire));
     CHECK(box.stream.bad == 1 && !box.has_now);
     host_command(payload, 0, broken, HYDRO_SMOOTH_STEP, REST);
-    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 5, payload, 72, wire));
+    hydro_box_bytes(&box, wire, host_frame(HYDRO_VERSION, HYDRO_COMMAND, 5, payload, 72, wire));
     CHECK(box.now.broken == 3 && box.now.delta_kp == 0 && box.now.delta_u == HYDRO_R(0.001f));
     (void)hydro_box_tick(&box, STILL, 0.001);
     CHECK(box.guard.refused[0] == 2 && box.guard.refused[1] == 0);
@@ -119,7 +119,7 @@ static void test_conversation(void)
         hydro_box_bytes(&box, wire, host_frame(0, HYDRO_HELLO, 0, payload, 72, wire));
         CHECK(box.hellos == host + 1u);
         (void)hydro_box_tick(&box, STILL, 0.002 + 1e-3 * host);
-        CHECK(hydro_box_frames(&box, out) == GREETING + 129);
+        CHECK(hydro_box_frames(&box, out) == GREETING + 133);
     }
     CHECK(hydro_unstuff(wire + 1, hydro_encode_details(1, 0, 9, &CONFIG, wire) - 2) == HYDRO_HEADER + 64);
     CHECK(wire[1] == HYDRO_VERSION && wire[1 + HYDRO_HEADER + 16] == 1 && wire[1 + HYDRO_HEADER + 17] == 3);
@@ -155,16 +155,16 @@ static void test_a_box_begins_anew(void)
     (void)hydro_box_tick(&box, STILL, 0.001);
     CHECK(box.sample.sequence == 0 && box.sample.time == 0.001);
     CHECK(memcmp(box.sample.values, STILL, sizeof STILL) == 0);
-    CHECK(hydro_box_frames(&box, out) == GREETING + 129);
+    CHECK(hydro_box_frames(&box, out) == GREETING + 133);
     hello = opened(out, data);
     CHECK(data[0] == 0 && data[1] == HYDRO_HELLO && hydro_read32(data + 2) == 0 && hydro_read32(data + 6) == 1000);
     CHECK(opened(out + hello, data) == 81 && data[0] == HYDRO_VERSION && data[1] == HYDRO_DETAILS);
-    CHECK(opened(out + hello + 81, data) == 129 && data[0] == HYDRO_VERSION && data[1] == HYDRO_LAW);
+    CHECK(opened(out + hello + 81, data) == 141 && data[0] == HYDRO_VERSION && data[1] == HYDRO_LAW);
     state = opened(out + GREETING, data);
     CHECK(data[0] == HYDRO_VERSION && data[1] == HYDRO_STATE && hydro_read32(data + 2) == 0);
-    CHECK(state == 129 && hydro_read32(data + 6) == 1000);
+    CHECK(state == 133 && hydro_read32(data + 6) == 1000);
     (void)hydro_box_tick(&box, STILL, 4294.967297);
-    CHECK(hydro_box_frames(&box, out) == 129 && opened(out, data) == 129 && hydro_read32(data + 2) == 1);
+    CHECK(hydro_box_frames(&box, out) == 133 && opened(out, data) == 133 && hydro_read32(data + 2) == 1);
     CHECK(hydro_read32(data + 6) == 1 && hydro_read32(data + 10) == 1); /* us, beyond 32 bits */
 }
 
@@ -177,7 +177,7 @@ static void test_what_waits(void)
     payload[1] = 2;
     greeting = host_frame(0, HYDRO_HELLO, 0, payload, 72, hello);
     host_command(payload, 2, NO_GAINS, HYDRO_HOLD, REST);
-    count = host_frame(3, HYDRO_COMMAND, 5, payload, 72, wire);
+    count = host_frame(HYDRO_VERSION, HYDRO_COMMAND, 5, payload, 72, wire);
     hydro_box_power_on(&box, &CONFIG, 9);
     hydro_box_bytes(&box, wire, count - 1); /* its delimiter lies behind */
     CHECK(!box.has_now && box.taken == 0);
@@ -208,7 +208,7 @@ static void test_an_armed_sample(void)
     hydro_box_power_on(&box, &CONFIG, 9);
     for (uint32_t k = 1; k < 3; k++) {
         host_command(payload, k == 1 ? 2 : 3, gains, HYDRO_HOLD, away);
-        hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, k, payload, 72, wire));
+        hydro_box_bytes(&box, wire, host_frame(HYDRO_VERSION, HYDRO_COMMAND, k, payload, 72, wire));
         (void)hydro_box_tick(&box, x, k * 1e-3);
     }
     CHECK(box.sample.values[HYDRO_NOMINAL] == 0 && box.sample.values[HYDRO_REFERENCE] == 30);
@@ -227,10 +227,10 @@ static void test_a_current_that_cannot_be(void)
     const float away[4] = {0.0f, 50.0f, 1.0f, 0.0f};
     hydro_box_power_on(&box, &CONFIG, 9);
     host_command(payload, 0, NO_GAINS, HYDRO_HOLD, away);
-    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 1, payload, 72, wire));
+    hydro_box_bytes(&box, wire, host_frame(HYDRO_VERSION, HYDRO_COMMAND, 1, payload, 72, wire));
     (void)hydro_box_tick(&box, STILL, 0.001);
     host_command(payload, 3, NO_GAINS, HYDRO_HOLD, away);
-    hydro_box_bytes(&box, wire, host_frame(3, HYDRO_COMMAND, 2, payload, 72, wire));
+    hydro_box_bytes(&box, wire, host_frame(HYDRO_VERSION, HYDRO_COMMAND, 2, payload, 72, wire));
     (void)hydro_box_tick(&box, STILL, 0.002);
     CHECK(hydro_box_tick(&box, STILL, 0.05) > 0 && box.sample.flags == HYDRO_ARMED);
     box.guard.delta_kp = (hydro_real)number(0x7F800000u);

@@ -67,7 +67,7 @@ def cable(tmp_path: Path) -> Iterator[Cable]:
 
 
 SMALL, PLAIN = BoxInfo(name="small box"), BoxDetails(epoch=1)
-ACTING = LawState(Law.COMPENSATED, 0.5, 0.25, (1.0, 0.03125, 0.0, 0.0), 0.25, 1.0)
+ACTING = LawState(Law.COMPENSATED, 0.5, 0.25, (1.0, 0.03125, 0.0, 0.0, 0.0), 0.25, 1.0)
 
 
 @dataclass

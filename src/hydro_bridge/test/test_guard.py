@@ -27,7 +27,7 @@ anything = st.floats(allow_nan=True, allow_infinity=True)
 LIMITS = GuardSettings()
 OFFERED = BoxLaw()
 SHAPED = LawCommand(
-    law=Law.COMPENSATED, coefficients=(1.05, 0.03, 1e-4, -5.0), velocity_compensation=0.2, valve_gain_scale=1.5
+    law=Law.COMPENSATED, coefficients=(1.05, 0.03, 1e-4, -5.0, 2e-6), velocity_compensation=0.2, valve_gain_scale=1.5
 )
 SINE = ReferenceSignal(waveform=Waveform.SINE, amplitude=300.0)
 
@@ -190,8 +190,8 @@ def test_out_of_range_is_clamped_counted_and_told_once():
     assert list(guard.take_events()) == ["delta_kp is outside [0, 75]: clamped", "delta_ki is outside [0, 10]: clamped"]
     guard = compensated()
     for _ in range(3):
-        guard.set_law(replace(SHAPED, coefficients=(2.0, 0.03, 1e-4, -5.0)), 0.1)
-    assert guard.command(0.1).coefficients == (OFFERED.coefficient_max[0], 0.03, 1e-4, -5.0)
+        guard.set_law(replace(SHAPED, coefficients=(2.0, 0.03, 1e-4, -5.0, 2e-6)), 0.1)
+    assert guard.command(0.1).coefficients == (OFFERED.coefficient_max[0], 0.03, 1e-4, -5.0, 2e-6)
     assert list(guard.take_events()) == ["a_0 is outside [0.8, 1.25]: clamped"]
 
 
@@ -298,7 +298,7 @@ def test_stale_gains_or_coefficients_give_the_safe_record_of_the_compensated_law
     assert shaping(guard.command(0.3)) == SHAPED
 
 
-@given(st.lists(anything, min_size=6, max_size=6), anything, anything)
+@given(st.lists(anything, min_size=7, max_size=7), anything, anything)
 def test_whatever_law_command_comes_in_what_goes_down_is_finite_and_within_the_laws_limits(numbers, kp, ki):
     guard, (*coefficients, c_1, c_2) = compensated(), numbers
     wanted = replace(SHAPED, coefficients=tuple(coefficients), velocity_compensation=c_1, valve_gain_scale=c_2)

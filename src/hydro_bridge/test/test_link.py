@@ -185,8 +185,8 @@ def test_a_restarted_box_is_disarmed_and_followed_from_its_new_count(bench):
 @pytest.mark.parametrize(
     ("box", "told"),
     [
-        ({"version": 2}, "older protocol than version 3, and no command is sent: rebuild its firmware"),
-        ({"version": 4}, "newer protocol than version 3, and no command is sent: update hydro"),
+        ({"version": 3}, "older protocol than version 4, and no command is sent: rebuild its firmware"),
+        ({"version": 5}, "newer protocol than version 4, and no command is sent: update hydro"),
         ({"details": None}, "no DETAILS behind its HELLO: no command is sent"),
         ({"details": replace(DETAILS, laws=3)}, "no LAW behind its DETAILS: no command is sent"),
     ],
@@ -210,7 +210,7 @@ def test_a_box_is_followed_once_its_details_came_and_its_limits_narrow_the_guard
     wait(lambda: it.said("refused a reference"))
 
 
-@pytest.mark.parametrize("law", [None, BoxLaw(base_kp=250.0, coefficient_max=(1.25, 0.125, 0.5, 64.0))])
+@pytest.mark.parametrize("law", [None, BoxLaw(base_kp=250.0, coefficient_max=(1.25, 0.125, 0.5, 64.0, 0.25))])
 def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_law(bench, law):
     """Elsewhere its changes would be added to the paper's gains: the safe command goes out instead."""
     it = bench(details=replace(DETAILS, laws=3 if law else 1), law=law)
@@ -218,7 +218,7 @@ def test_a_compensated_command_goes_out_as_it_is_only_to_a_box_that_offers_that_
     if law:
         assert (it.link.law.base_kp, it.link.law.coefficient_max) == (law.base_kp, law.coefficient_max)
     wanted = Command(
-        arm=True, delta_kp=-50.0, delta_u=0.125, law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 0.0, 2.0),
+        arm=True, delta_kp=-50.0, delta_u=0.125, law=Law.COMPENSATED, coefficients=(1.0, 0.0625, 0.0, 2.0, 0.0),
         velocity_compensation=0.25, filter_fresh=True,
     )  # fmt: skip
     it.link.guard.command = lambda now: wanted

@@ -111,10 +111,10 @@ class Law(IntEnum):
     COMPENSATED = 1
 
 
-ReferenceCoefficients = tuple[float, float, float, float]
-"""a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] of the compensated reference f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3."""
+ReferenceCoefficients = tuple[float, float, float, float, float]
+"""a_0 [-], a_1 [s], a_2 [s^2], a_3 [N], a_4 [s^3] of f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3 + a_4 f_r'''."""
 
-NEUTRAL_COEFFICIENTS: ReferenceCoefficients = (1.0, 0.0, 0.0, 0.0)
+NEUTRAL_COEFFICIENTS: ReferenceCoefficients = (1.0, 0.0, 0.0, 0.0, 0.0)
 """Neutral coefficients of the compensated reference: f_c = f_r."""
 
 
@@ -136,7 +136,7 @@ class LawCommand:
 
     @property
     def shaping(self) -> tuple[float, ...]:
-        """Coefficients a_0 to a_3, and scales C_1 and C_2."""
+        """Coefficients a_0 to a_4, and scales C_1 and C_2."""
         return *self.coefficients, self.velocity_compensation, self.valve_gain_scale
 
 

@@ -254,8 +254,8 @@ def _law_off(
     config: BoxConfig, spacing: int,
 ) -> float:  # fmt: skip
     """Relative RMS error of the law's nominal current; the initial value of the integral is fitted."""
-    n, nominal, error = box_bench.constants().view(np.recarray)[0], channels["nominal_valve_current"], followed[:, 0]
-    error = error - channels["load_force"]
+    n, nominal = box_bench.constants().view(np.recarray)[0], channels["nominal_valve_current"]
+    error, missed = followed[:, 0] - channels["load_force"], channels["reference_force"] - channels["load_force"]
     stiff = eq.stiffnesses(n, (n.bulk_modulus,) * 2, eq.clip(channels["piston_position"], 0.0, n.stroke))
     edges = eq.edge_drops(n.supply_pressure, n.tank_pressure, channels["pressure_a"], channels["pressure_b"])
     drops = (np.where(nominal >= 0.0, out, back) for out, back in zip(*edges, strict=True))
@@ -265,8 +265,8 @@ def _law_off(
     moving = scales[0] * eq.force_rate(n, stiff, (0.0, 0.0), channels["piston_velocity"])
     action = nominal * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
     current = channels["valve_current"]
-    stopped = (np.abs(current) >= SATURATION_SHARE * box_bench.valve_current_max) & (current * error > 0.0)
-    grown = np.cumsum(np.where(stopped, 0.0, channels["integral_gain"] * error)) * SAMPLE_PERIOD
+    stopped = (np.abs(current) >= SATURATION_SHARE * box_bench.valve_current_max) & (current * missed > 0.0)
+    grown = np.cumsum(np.where(stopped, 0.0, channels["integral_gain"] * missed)) * SAMPLE_PERIOD
     left = (action[1:] - grown[:-1])[spacing - 1 :: spacing]
     off = (left - left.mean()) / gain[spacing::spacing]
     return float(np.sqrt(np.mean(np.square(off)) / np.mean(np.square(nominal[spacing::spacing]))))

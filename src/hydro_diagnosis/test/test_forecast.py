@@ -86,7 +86,7 @@ def test_compensated_law_is_that_of_the_recording(worn: Problem, tmp_path: Path)
         bag.add_topic(LAW_STATE_TOPIC, "hydro_msgs/msg/LawState")
         for row in states:
             stamp = round(row["time"] * 1e9)
-            told = (row["reference_force"], row["reference_force_rate"], 1.0, 0.0, 0.0, 0.0, 0.0, 1.0)
+            told = (row["reference_force"], row["reference_force_rate"], 1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
             bag.write(
                 LAW_STATE_TOPIC, LAW_STATE_CODEC.pack(stamp, int(row["sequence"]), int(Law.COMPENSATED), *told), stamp
             )

@@ -46,7 +46,7 @@ def run(
     command = Command(law=Law.COMPENSATED)
     box.receive(command, 0.0)
     command = replace(
-        command, arm=True, reference=SINE, coefficients=(1.02, 0.03, 2e-4, -3.0), velocity_compensation=c_1
+        command, arm=True, reference=SINE, coefficients=(1.02, 0.03, 2e-4, -3.0, 1e-6), velocity_compensation=c_1
     )
     if made is not None:
         made.reset()
@@ -124,7 +124,7 @@ def test_a_file_keeps_both_and_the_shipped_one_holds_for_the_papers_law(
 
 
 def test_a_filter_of_the_papers_law_bypasses_the_compensated_one_and_begins_anew(bench: Bench) -> None:
-    law, made = LawState(Law.COMPENSATED, 10.0, 0.0, (1.0, 0.0, 0.0, 0.0), C_1, 1.0), default_filter(bench)
+    law, made = LawState(Law.COMPENSATED, 10.0, 0.0, (1.0, 0.0, 0.0, 0.0, 0.0), C_1, 1.0), default_filter(bench)
     sample = Sample(np.array([0.0, 0.0, 0.0, 0.0, 6e6, 9e6, 0.04, 0.0]), 0.0, 300.0, -40.0)
     result = made.correct(sample._replace(law=law))
     assert (result.delta_u, result.status) == (0.0, CorrectionStatus.BYPASSED)

@@ -202,7 +202,7 @@ def test_under_the_compensated_law_a_sample_waits_for_its_law_and_is_stale_if_it
     source, core = started(*written(tmp_path, model, metric)), loop_filter(metric, model, NOMINAL)
     laws = create_publisher(source.node, LAW_STATE)
     source.wait(lambda: laws.get_subscription_count() > 0)
-    law = LawState(Law.COMPENSATED, 100.0, 0.0, (1.0, 0.0, 0.0, 0.0), 1.0, 1.0)
+    law = LawState(Law.COMPENSATED, 100.0, 0.0, (1.0, 0.0, 0.0, 0.0, 0.0), 1.0, 1.0)
     sample = UNSTABLE._replace(proportional_gain=300.0, law=law)
     expected: list[tuple[int, CorrectionStatus, float]] = []
     laws.publish(pack_law_state(0, 2**32 - 1, law))

@@ -13,7 +13,6 @@ import pytest
 from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import NEUTRAL_COEFFICIENTS, Flag, FloatArray, Law
 from hydro_policy.compensation.estimator import (
-    BOX_SHARE,
     INITIAL_COEFFICIENTS,
     Compensator,
     CompensatorSettings,
@@ -26,9 +25,8 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import OfflineGraph
 
-TRUE = (1.02, 0.031, 4e-4, -7.0)
-SHARED = (1.0, 1.0, BOX_SHARE, 1.0)
-BEGUN = tuple(INITIAL_COEFFICIENTS[:4] * SHARED)
+TRUE = (1.02, 0.031, 4e-4, -7.0, 4e-6)
+BEGUN = tuple(INITIAL_COEFFICIENTS[:5])
 ACTIVE = np.array([True])
 OMEGA = 2.0 * np.pi
 LAW, FIXED = BoxLaw(), (90.0, 15.0)
@@ -40,18 +38,18 @@ def times(step: int) -> FloatArray:
 
 
 def polynomial(at: FloatArray, amplitude: float = 200.0) -> tuple[FloatArray, FloatArray]:
-    """The f_c = a_0 f + a_1 f' + a_2 f'' + a_3 of `TRUE`, and f, a multisine."""
+    """The f_c = a_0 f + a_1 f' + a_2 f'' + a_3 + a_4 f''' of `TRUE`, and f, a multisine."""
     force, command = np.zeros_like(at), np.full_like(at, TRUE[3])
     for frequency, share in ((0.5, 0.4), (0.87, 0.3), (1.7, 0.3)):
         w = OMEGA * frequency
         sine, cosine = amplitude * share * np.sin(w * at), amplitude * share * np.cos(w * at)
         force += sine
-        command += (TRUE[0] - TRUE[2] * w * w) * sine + TRUE[1] * w * cosine
+        command += (TRUE[0] - TRUE[2] * w * w) * sine + (TRUE[1] - TRUE[4] * w * w) * w * cosine
     return command, force
 
 
 def taught(seconds: float) -> Compensator:
-    compensator = Compensator()
+    compensator = Compensator(settings=CompensatorSettings(third_weight=1e-5))
     for k in range(round(100 * seconds)):
         compensator.step(*polynomial(times(k)), ACTIVE)
     return compensator
@@ -59,7 +57,7 @@ def taught(seconds: float) -> Compensator:
 
 def test_coefficients_of_a_polynomial_are_found() -> None:
     compensator = taught(8.0)
-    np.testing.assert_allclose(compensator.coefficients[0], np.multiply(TRUE, SHARED), rtol=5e-3, atol=1e-6)
+    np.testing.assert_allclose(compensator.coefficients[0], TRUE, rtol=5e-3, atol=1e-6)
     assert compensator.excitation[0] > 0.1 and not compensator.at_bound[0]
 
 
@@ -89,7 +87,10 @@ def missed(compensator: Compensator, added: Callable[[FloatArray, FloatArray], F
         wanted = f + added(f, rate)
         command, force, slope = (each[np.newaxis, :10] for each in (wanted, f, rate))
         compensator.step(command, force, ACTIVE, slope, force)
-        found.append(compensator.coefficients[0] @ (f[10], rate[10], -(OMEGA**2) * f[10], 1.0) - wanted[10])
+        found.append(
+            compensator.coefficients[0] @ (f[10], rate[10], -(OMEGA**2) * f[10], 1.0, -(OMEGA**2) * rate[10])
+            - wanted[10]
+        )
     return np.array(found[600:])
 
 
@@ -110,7 +111,7 @@ def test_what_a_load_takes_that_yields_is_found_and_goes_out_ahead() -> None:
         return 0.02 * rate * (np.sign(rate) * f < 100.0)
 
     plain, known = Compensator(), Compensator()
-    plain._constants.weights[8:] = 1e6
+    plain._constants.weights[9:] = 1e6
     without, left = (np.sqrt(np.mean(missed(each, added) ** 2)) for each in (plain, known))
     assert known._constants.plays[1] == 150.0 and left < 0.5 * without
 
@@ -118,9 +119,9 @@ def test_what_a_load_takes_that_yields_is_found_and_goes_out_ahead() -> None:
 @pytest.mark.parametrize(
     ("spoilt", "far"),
     [
-        pytest.param(lambda f, k: 0.0 * f + polynomial(np.array([8.0]))[1], (1e-5, 1e-6, 1e-7, 1e-3), id="stuck"),
+        pytest.param(lambda f, k: 0.0 * f + polynomial(np.array([8.0]))[1], (1e-5, 2e-6, 1e-7, 1e-3, 3e-8), id="stuck"),
         pytest.param(lambda f, k: f + 100.0 * (-1.0) ** k * (np.arange(10) > 4), 0.0, id="jumping"),
-        pytest.param(lambda f, k: 0.01 * f, (5e-3, 2e-4, 1e-4, 1.0), id="out of contact"),
+        pytest.param(lambda f, k: 0.01 * f, (5e-3, 2e-4, 1e-4, 1.0, 1e-5), id="out of contact"),
         pytest.param(lambda f, k: np.nan * f, 0.0, id="no number"),
     ],
 )

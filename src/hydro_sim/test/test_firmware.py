@@ -55,7 +55,7 @@ def drawn_command(random: Random) -> Command:
         arm=random.random() < 0.8, delta_kp=drawn_number(random, 100.0), delta_ki=drawn_number(random, 30.0),
         delta_u=drawn_number(random, 0.02), reference=signal,
         law=random.choice((Law.PAPER, Law.COMPENSATED, Law.COMPENSATED)),
-        coefficients=tuple(drawn_number(random, scale) for scale in (1.0, 0.05, 2e-3, 30.0)),  # type: ignore[arg-type]
+        coefficients=tuple(drawn_number(random, scale) for scale in (1.0, 0.05, 2e-3, 30.0, 1e-5)),  # type: ignore[arg-type]
         velocity_compensation=drawn_number(random, 0.4), valve_gain_scale=drawn_number(random, 2.0),
         corrected_sequence=random.getrandbits(32), filter_fresh=random.random() < 0.5,
     )  # fmt: skip
@@ -198,7 +198,7 @@ def drawn_law(random: Random, law: Law) -> Command:
     command = Command(arm=True, delta_ki=5.0, delta_u=1e-4, reference=shape, filter_fresh=True)
     if law is Law.PAPER:
         return replace(command, delta_kp=45.0)
-    shaping = (random.uniform(0.9, 1.1), random.uniform(0.0, 0.03), random.uniform(0.0, 4e-4), -5.0)
+    shaping = (random.uniform(0.9, 1.1), random.uniform(0.0, 0.03), random.uniform(0.0, 4e-4), -5.0, 2e-6)
     return replace(command, law=law, coefficients=shaping, velocity_compensation=0.3)
 
 

@@ -58,7 +58,7 @@ def test_runs_do_not_cross_gaps_or_faults():
 
 
 def test_the_law_that_the_box_told_last_counts(tmp_path: Path) -> None:
-    told = (BoxLaw(), replace(BoxLaw(base_kp=2800.0), coefficient_min=(0.5, -0.5, 0.0, -8.0)), None)
+    told = (BoxLaw(), replace(BoxLaw(base_kp=2800.0), coefficient_min=(0.5, -0.5, 0.0, -8.0, 0.0)), None)
     for count in (1, 2, 3):
         with BagWriter(tmp_path / str(count)) as writer:
             writer.add_topic(recordings.LAW_TOPIC, "hydro_msgs/msg/BoxLaw")

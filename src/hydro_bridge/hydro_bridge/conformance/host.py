@@ -30,7 +30,7 @@ from hydro_core.signals import ReferenceSignal as Signal
 
 FLAGS = ("ARMED", "TRIPPED", "WATCHDOG", "FILTER_STALE")
 GAINS, REFERENCE = ("proportional_gain", "integral_gain"), ("reference_force", "reference_force_rate")
-SHAPING = ("a_0", "a_1", "a_2", "a_3", "C_1", "C_2")
+SHAPING = ("a_0", "a_1", "a_2", "a_3", "a_4", "C_1", "C_2")
 COUNTS = ("refused", "refused_references")
 ENDS = [(*ends, *[FADE_TIME] * 99) for ends in product((FADE_TIME - 1e-6, FADE_TIME + 1e-6), repeat=3)]
 """Ends of the fades from arming on [s]: each is the 300th or the 301st sample of its fade."""
@@ -63,13 +63,13 @@ def expect(states: Sequence[State], name: str, found: FloatArray, right: Any, to
 
 
 def evaluate_signal(signal: Signal, time: FloatArray) -> FloatArray:
-    """Return value [N] and three time derivatives of a signal, shape (4, n), `time` [s] after the box accepted it."""
-    omega, order = 2.0 * np.pi * signal.frequency, np.arange(4.0)[:, np.newaxis]
+    """Return value [N] and four time derivatives of a signal, shape (5, n), `time` [s] after the box accepted it."""
+    omega, order = 2.0 * np.pi * signal.frequency, np.arange(5.0)[:, np.newaxis]
 
     def sine(angle: FloatArray, rate: float) -> FloatArray:
         return np.asarray(rate**order * np.sin(angle + order * np.pi / 2.0))
 
-    shape: FloatArray = np.zeros((4, len(time)))
+    shape: FloatArray = np.zeros((5, len(time)))
     if signal.waveform is Waveform.SINE:
         shape = sine(omega * time + signal.phase, omega)
     elif signal.waveform is Waveform.MULTISINE:
@@ -91,16 +91,16 @@ def playable(signal: Signal, force_range: float) -> bool:
 
 
 def expected_reference(time: FloatArray, asked: Sequence[Signal], start: float, fades: Sequence[float]) -> FloatArray:
-    """Return f_r and its derivatives, shape (4, n), from arming on at the force `start` [N].
+    """Return f_r and its derivatives, shape (5, n), from arming on at the force `start` [N].
 
     `time` [s], shape (n,). `asked`: the playable signal in force in each sample. The cross-fades end after `fades` [s].
     """
-    found, before, begin, old = np.empty((4, len(time))), 0, 0, Signal(offset=start)
+    found, before, begin, old = np.empty((5, len(time))), 0, 0, Signal(offset=start)
     for fade in fades:
         new, now = asked[begin], time[begin:] - time[begin]
         last, following = evaluate_signal(old, time[begin:] - time[before]), evaluate_signal(new, now)
-        share = [_FADE.deriv(n)(now / FADE_TIME) / FADE_TIME**n for n in range(4)]
-        mixed = last + [sum(comb(n, j) * share[j] * (following - last)[n - j] for j in range(n + 1)) for n in range(4)]
+        share = [_FADE.deriv(n)(now / FADE_TIME) / FADE_TIME**n for n in range(5)]
+        mixed = last + [sum(comb(n, j) * share[j] * (following - last)[n - j] for j in range(n + 1)) for n in range(5)]
         found[:, begin:] = np.where(now < fade, mixed, following)
         changes = [n for n in range(begin + int(np.sum(now < fade)), len(time)) if asked[n] != new]
         if not changes:
@@ -114,7 +114,7 @@ def within_limits(law: BoxLaw, command: Command) -> tuple[FloatArray, FloatArray
     """Return gains and `SHAPING` of a command within limits, those of the safe state, and how many were beyond."""
     low, safe, high, _ = ([0.0, 0.0, *numbers] for numbers in law.shaping_limits)
     low[:2], high[:2] = (law.delta_kp_min, law.delta_ki_min), (law.delta_kp_max, law.delta_ki_max)
-    asked, base = np.array([command.delta_kp, command.delta_ki, *command.shaping]), np.zeros(8)
+    asked, base = np.array([command.delta_kp, command.delta_ki, *command.shaping]), np.zeros(9)
     base[:2] = law.base_kp, law.base_ki
     taken = np.clip(np.where(np.isfinite(asked), asked, safe), low, high)
     return base + taken, base + safe, int(np.sum(asked != taken))
@@ -281,7 +281,7 @@ class Host:
         for first, end in np.flatnonzero(np.diff(now["ARMED"], prepend=0.0, append=0.0)).reshape(-1, 2):
             part, time = slice(first, end), 1e-6 * np.array([state.time_us for state in states[first:end]])
             told = {name: column[part] for name, column in now.items()}
-            law, shaping = self.laws[states[first].law_state.law], np.array(rest[14:])[:, part]
+            law, shaping = self.laws[states[first].law_state.law], np.array(rest[-len(SHAPING) :])[:, part]
             points = [expected_reference(time, signals[1:][part], told[self.feedback][0], fades) for fades in ENDS]
             tries = [self._armed(law, told, each, shaping, delta_u[part]) for each in points]
             misfits = [sum(np.abs(each[name][0] - told[name]).sum() for name in (*REFERENCE, "f_c'")) for each in tries]
@@ -297,9 +297,9 @@ class Host:
     ) -> dict[str, tuple[Any, Any]]:
         """Return right values and tolerances of the force law's fields from arming on, n samples.
 
-        `points`: f_r and its derivatives, shape (4, n). `shaping`: wanted, shape (6, n). `delta_u`: in force, A. What
+        `points`: f_r and its derivatives, shape (5, n). `shaping`: wanted, shape (7, n). `delta_u`: in force, A. What
         the law computes from other fields follows from these as the box tells them, `now`. The integral is frozen
-        (anti-windup) while the current is at its limit and K_i e has the current's sign.
+        (anti-windup) while the current is at its limit and K_i (f_r - f) has the current's sign.
         """
         force, period, limit = self.force_scale, SAMPLE_PERIOD, self.info.valve_current_max
         right: dict[str, tuple[Any, Any]] = {}
@@ -314,13 +314,9 @@ class Host:
             right[name] = before + step, 2e-6 * max(abs(low[n]), abs(high[n]))
             steps.append((now[name] - before) / period)
 
-        second, smooth, third = 0.0, np.empty(len(points.T)), np.append(0.0, points[3])
-        for n, jump in enumerate(points[2]):  # f_r'' through a low-pass of 4 ms
-            middle = second + 0.5 * period * (third[n] + third[n + 1])
-            smooth[n] = second = middle + (jump - middle) * period / (period + 4e-3)
-        terms: list[Any] = [now["reference_force"], now["reference_force_rate"], smooth, 1.0]
-        slopes: list[Any] = [terms[1], points[2], points[3] + (points[2] - smooth) / 4e-3, 0.0]
-        value, slope = np.zeros((2, len(smooth)))
+        terms: list[Any] = [now["reference_force"], now["reference_force_rate"], points[2], 1.0, points[3]]
+        slopes: list[Any] = [terms[1], points[2], points[3], 0.0, points[4]]
+        value, slope = np.zeros((2, len(points.T)))
         for name, step, term, rises in zip(SHAPING, steps, terms, slopes, strict=False):
             value += now[name] * term
             slope += now[name] * rises + step * term
@@ -330,8 +326,9 @@ class Host:
         if bench := self.bench:
             paper, gain, current = self.info.integral == "paper", now["integral_gain"], now["valve_current"]
             error = now["f_c"] - now[self.feedback]
-            frozen = (np.abs(current) >= (1.0 - 1e-6) * limit) & (current * gain * error > 0.0)
-            summed = period * np.where(frozen, 0.0, error if paper else gain * error)
+            missed = now["reference_force"] - now[self.feedback]
+            frozen = (np.abs(current) >= (1.0 - 1e-6) * limit) & (current * gain * missed > 0.0)
+            summed = period * np.where(frozen, 0.0, missed if paper else gain * missed)
             integral = (np.cumsum(summed) - summed) * (gain if paper else 1.0)
             alpha, position = bench["area_ratio"], np.clip(now["piston_position"], 0.0, bench["stroke"])
             rest, pressures = bench["supply_pressure"] / (1.0 + alpha), (now["pressure_a"], now["pressure_b"])

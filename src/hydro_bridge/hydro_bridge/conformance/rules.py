@@ -23,8 +23,8 @@ from hydro_core.signals import SAMPLE_PERIOD, Law, Waveform
 
 Words = dict[str, Any]
 HELLO: Words = {"a HELLO goes before": "the samples"}
-COMPENSATED: Words = {"law": Law.COMPENSATED, "coefficients": (1.05, 0.03, 1e-3, 4.0), "velocity_compensation": 0.2,
-                      "delta_kp": -200.0}  # fmt: skip
+COMPENSATED: Words = {"law": Law.COMPENSATED, "coefficients": (1.05, 0.03, 1e-3, 4.0, 5e-6),
+                      "velocity_compensation": 0.2, "delta_kp": -200.0}  # fmt: skip
 SINE: Words = {"waveform": Waveform.SINE, "amplitude": 50.0, "frequency": 2.0}
 ARMED: Words = {"arm": True}
 ONCE: Words = {"times": 0}
@@ -83,8 +83,8 @@ PLAYS: dict[str, tuple[str, Sequence[str], Sequence[tuple[int, Words | None]]]] 
          (300, {"delta_ki": 60.0, "delta_kp": 40.0})]),
     "compensated.shaping": (SHAPED, (*GAINS, *SHAPING, "f_c", "f_c'"),
         [(700, ARMED | COMPENSATED | SINE | {"waveform": Waveform.MULTISINE, "offset": 40.0, "frequency": 0.9}),
-         (200, {"coefficients": (1e3, 0.02, -1e3, 2.0), "velocity_compensation": -9.0}),
-         (200, {"coefficients": (nan, inf, 1e-3, nan), "velocity_compensation": nan, "valve_gain_scale": nan})]),
+         (200, {"coefficients": (1e3, 0.02, -1e3, 2.0, 1e3), "velocity_compensation": -9.0}),
+         (200, {"coefficients": (nan, inf, 1e-3, nan, nan), "velocity_compensation": nan, "valve_gain_scale": nan})]),
     "compensated.safe": (SHAPED, (*GAINS, *SHAPING, "f_c", "f_c'"),
         [(600, ARMED | COMPENSATED | SINE | {"valve_gain_scale": 1.1}), (100, {"law": Law.PAPER}),
          (100, {"law": Law.COMPENSATED}), (150, None), (50, {})]),
@@ -244,6 +244,6 @@ def test_compensated_limit(host: Host) -> None:
     law = host.law or pytest.skip("the box runs the paper's law only")
     a_1 = 0.9 * law.coefficient_max[1]
     frequency = 1.4 * law.reference_max / (2.0 * pi * a_1 * SINE["amplitude"] * host.force_scale)
-    words = SINE | {"coefficients": (1.0, a_1, 0.0, 0.0), "delta_kp": law.delta_kp_min, "frequency": frequency}
+    words = SINE | {"coefficients": (1.0, a_1, 0.0, 0.0, 0.0), "delta_kp": law.delta_kp_min, "frequency": frequency}
     host.stream(1800, arm=True, law=Law.COMPENSATED, **words)
     host.check("ARMED", "f_c", "f_c'")

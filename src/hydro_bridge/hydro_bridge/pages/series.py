@@ -53,6 +53,7 @@ SERIES_COLUMNS = (
         Column("a_1", "a_1", "ms", 1e3),
         Column("a_2", "a_2", "10⁻⁵ s²", 1e5),
         Column("a_3", "a_3", "N"),
+        Column("a_4", "a_4", "10⁻⁶ s³", 1e6),
     ),
 )
 """Columns of states, corrections and laws; those without a field are derived: f_r - f_l; 1 or 0; 1 or 0."""

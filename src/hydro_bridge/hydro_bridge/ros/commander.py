@@ -134,7 +134,7 @@ class Commander:
             self._publishers[topics.LAW] = create_publisher(self._node, topics.LAW)
         message = self._law
         message.law = int(command.law)
-        message.a_0, message.a_1, message.a_2, message.a_3 = command.coefficients
+        message.a_0, message.a_1, message.a_2, message.a_3, message.a_4 = command.coefficients
         message.velocity_compensation = command.velocity_compensation
         message.valve_gain_scale = command.valve_gain_scale
         self._send(topics.LAW, message, step)

@@ -129,7 +129,7 @@ def law_command_from_message(message: msg.LawCommand) -> LawCommand | None:
         return None
     return LawCommand(
         law=Law(message.law),
-        coefficients=(message.a_0, message.a_1, message.a_2, message.a_3),
+        coefficients=(message.a_0, message.a_1, message.a_2, message.a_3, message.a_4),
         velocity_compensation=message.velocity_compensation,
         valve_gain_scale=message.valve_gain_scale,
     )
@@ -145,7 +145,7 @@ def pack_law_state(stamp: int, sequence: int, state: LawState) -> bytes:
 def law_state_from_message(message: Any) -> LawState:
     """Return the law state of a sample from a LawState message or its record; raises ValueError for an unknown law."""
     followed = message.compensated_reference, message.compensated_reference_rate
-    coefficients = message.a_0, message.a_1, message.a_2, message.a_3
+    coefficients = message.a_0, message.a_1, message.a_2, message.a_3, message.a_4
     return LawState(Law(message.law), *followed, coefficients, message.velocity_compensation, message.valve_gain_scale)
 
 

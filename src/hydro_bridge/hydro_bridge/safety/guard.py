@@ -170,10 +170,13 @@ class CommandGuard:
             self._law = LawCommand()
         else:
             low, _, high, _ = self.box_law.shaping_limits
-            names = ("a_0", "a_1", "a_2", "a_3", "velocity_compensation", "valve_gain_scale")
-            a_0, a_1, a_2, a_3, c_1, c_2 = map(self._clamp, names, wanted.shaping, low, high)
+            names = ("a_0", "a_1", "a_2", "a_3", "a_4", "velocity_compensation", "valve_gain_scale")
+            a_0, a_1, a_2, a_3, a_4, c_1, c_2 = map(self._clamp, names, wanted.shaping, low, high)
             self._law = LawCommand(
-                law=wanted.law, coefficients=(a_0, a_1, a_2, a_3), velocity_compensation=c_1, valve_gain_scale=c_2
+                law=wanted.law,
+                coefficients=(a_0, a_1, a_2, a_3, a_4),
+                velocity_compensation=c_1,
+                valve_gain_scale=c_2,
             )
         self._law_at = now
 

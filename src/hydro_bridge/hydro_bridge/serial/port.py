@@ -29,7 +29,7 @@ class PortSettings:
     """Settings of a serial port."""
 
     path: Annotated[str, described("Device, or link to one")] = "/dev/ttyUSB0"
-    baud: Annotated[int, quantity("Bit/s", 1300000, 12000000, "A STATE each millisecond takes 1290000")] = 2_000_000
+    baud: Annotated[int, quantity("Bit/s", 1340000, 12000000, "A STATE each millisecond takes 1330000")] = 2_000_000
     silence_max: Annotated[
         float, quantity("s", 0.1, 60.0, "Without a sample, or a frame before the greeting: the port is reopened")
     ] = 1.0

@@ -30,7 +30,7 @@ from hydro_core.signals import (
     Waveform,
 )
 
-VERSION = 3
+VERSION = 4
 """Protocol version of all frames but HELLO; frames of other versions are rejected."""
 
 
@@ -172,12 +172,12 @@ class BoxLaw:
     """Rate limit of C_1 and C_2 [1/s]."""
     reference_max: float = 700.0
     """Saturation of the magnitude of f_c [N]."""
-    coefficient_min: ReferenceCoefficients = (0.8, -0.02, -0.001, -60.0)
-    """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N]."""
-    coefficient_max: ReferenceCoefficients = (1.25, 0.15, 0.002, 60.0)
-    """Upper limits of a_0 to a_3, in the same units."""
-    coefficient_rate: ReferenceCoefficients = (0.5, 0.1, 0.005, 2000.0)
-    """Rate limits of a_0 to a_3 [1/s], [-], [s], [N/s]."""
+    coefficient_min: ReferenceCoefficients = (0.8, -0.02, -0.001, -60.0, -1e-5)
+    """Lower limits of a_0 [-], a_1 [s], a_2 [s^2], a_3 [N], a_4 [s^3]."""
+    coefficient_max: ReferenceCoefficients = (1.25, 0.15, 0.002, 60.0, 1e-4)
+    """Upper limits of a_0 to a_4, in the same units."""
+    coefficient_rate: ReferenceCoefficients = (0.5, 0.1, 0.005, 2000.0, 2.5e-4)
+    """Rate limits of a_0 to a_4 [1/s], [-], [s], [N/s], [s^2]."""
 
     @classmethod
     def of_message(cls, message: Any) -> BoxLaw | None:
@@ -192,7 +192,7 @@ class BoxLaw:
 
     @property
     def shaping_limits(self) -> tuple[list[float], list[float], list[float], list[float]]:
-        """Minimum, safe value, maximum and rate limit of a_0 to a_3, C_1 and C_2."""
+        """Minimum, safe value, maximum and rate limit of a_0 to a_4, C_1 and C_2."""
         low = [*self.coefficient_min, self.velocity_compensation_min, self.valve_gain_scale_min]
         safe = [*NEUTRAL_COEFFICIENTS, self.velocity_compensation, self.valve_gain_scale]
         high = [*self.coefficient_max, self.velocity_compensation_max, self.valve_gain_scale_max]
@@ -202,7 +202,7 @@ class BoxLaw:
         """Return the law with its forces scaled by `force` and its gains by `gain`."""
 
         def level(numbers: ReferenceCoefficients) -> ReferenceCoefficients:
-            return (*numbers[:3], force * numbers[3])
+            return (*numbers[:3], force * numbers[3], numbers[4])
 
         return replace(
             self, reference_max=force * self.reference_max, coefficient_min=level(self.coefficient_min),
@@ -306,10 +306,10 @@ ENCODED_SIZE_MAX = 160
 _HEADER = Struct("<BBIQ")
 _LAYOUTS = {
     FrameType.HELLO: Struct("<BBIQBBBB32s9f"),
-    FrameType.STATE: Struct(f"<BBIQ{len(STATE_FIELDS)}fIIIII8f"),
+    FrameType.STATE: Struct(f"<BBIQ{len(STATE_FIELDS)}fIIIII9f"),
     FrameType.COMMAND: Struct("<BBIQIIfffIffffI7f"),
     FrameType.DETAILS: Struct("<BBIQI12sBBxx10f"),
-    FrameType.LAW: Struct("<BBIQI26f"),
+    FrameType.LAW: Struct("<BBIQI29f"),
     FrameType.CLOCK: Struct("<BBIQI"),
 }
 _CRC = Struct("<I")
@@ -322,7 +322,7 @@ def encode_command(sequence: int, time_us: int, command: Command) -> bytes:
     bits = _ARM_BIT * command.arm | _FILTER_FRESH_BIT * command.filter_fresh
     numbers = (command.delta_kp, command.delta_ki, command.delta_u)
     signal = (reference.waveform, reference.amplitude, reference.offset, reference.frequency, reference.phase)
-    values = (bits, command.corrected_sequence, *numbers, *signal, command.law, *command.shaping, 0.0)
+    values = (bits, command.corrected_sequence, *numbers, *signal, command.law, *command.shaping)
     return encode(FrameType.COMMAND, sequence, time_us, *values)
 
 
@@ -410,8 +410,8 @@ def _read_hello(sequence: int, time_us: int, *rest: Any) -> Hello:
 
 
 def _read_state(sequence: int, time_us: int, *rest: Any) -> State:
-    *values, flags, last_command, refused, references, law, value, rate, a_0, a_1, a_2, a_3, c_1, c_2 = rest
-    acting = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3), c_1, c_2)
+    *values, flags, last_command, refused, references, law, value, rate, a_0, a_1, a_2, a_3, a_4, c_1, c_2 = rest
+    acting = LawState(_known_law(law), value, rate, (a_0, a_1, a_2, a_3, a_4), c_1, c_2)
     return State(sequence, time_us, tuple(values), flags, last_command, refused, references, acting)
 
 
@@ -425,14 +425,14 @@ def _read_details(
 
 
 def _read_law(sequence: int, time_us: int, law: int, *rest: float) -> LawFrame:
-    values = (*rest[:14], rest[14:18], rest[18:22], rest[22:])
+    values = (*rest[:14], rest[14:19], rest[19:24], rest[24:])
     record: dict[str, Any] = dict(zip([entry.name for entry in fields(BoxLaw)], values, strict=True))
     return LawFrame(sequence, time_us, _known_law(law), BoxLaw(**record))
 
 
 def _read_command(sequence: int, time_us: int, *rest: Any) -> CommandFrame:
     bits, corrects, delta_kp, delta_ki, delta_u, waveform, amplitude, offset, frequency, phase = rest[:10]
-    law, a_0, a_1, a_2, a_3, c_1, c_2, _ = rest[10:]
+    law, a_0, a_1, a_2, a_3, a_4, c_1, c_2 = rest[10:]
     if waveform > Waveform.SMOOTH_STEP:
         raise MalformedError(f"waveform {waveform}")
     command = Command(
@@ -446,7 +446,7 @@ def _read_command(sequence: int, time_us: int, *rest: Any) -> CommandFrame:
         corrected_sequence=corrects,
         filter_fresh=bool(bits & _FILTER_FRESH_BIT),
         law=_known_law(law),
-        coefficients=(a_0, a_1, a_2, a_3),
+        coefficients=(a_0, a_1, a_2, a_3, a_4),
         velocity_compensation=c_1,
         valve_gain_scale=c_2,
     )

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Adaptive time-series compensation: coefficients of the compensated reference from the measured force.
 
-The compensated law follows f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3 in place of f_r. At the reference's frequencies
-the closed loop from f_c to the measured force f is nearly the inverse of such a polynomial
+The compensated law follows f_c = a_0 f_r + a_1 f_r' + a_2 f_r'' + a_3 + a_4 f_r''' in place of f_r. At the reference's
+frequencies the closed loop from f_c to the measured force f is nearly the inverse of such a polynomial
 
-    f_c = a_0 f + a_1 f' + a_2 f'' + a_3
+    f_c = a_0 f + a_1 f' + a_2 f'' + a_3 + a_4 f'''
 
-so the coefficients a of a least-squares fit of the applied f_c to [f, f', f'', 1] make f follow f_r on any bench.
+so the coefficients a of a least-squares fit of the applied f_c to [f, f', f'', 1, f'''] make f follow f_r on any bench.
 Source: Chae, Kazemibidokhti, Ricles 2013, Earthquake Engng Struct. Dyn. 42(11), 1697. Seven further terms are
 
     b_0 tanh(f_r' / r)           valve overlap: a step of the current at a reversal of the force
@@ -25,15 +25,15 @@ and are sent as part of a_3, for the f_r and f_r' of the middle of the policy st
 
 All channels pass through the same filter: a misalignment of a derivative by half a sample would be 5 % of a_1.
 
-`BOX_SHARE` of a_2 is applied by the box. The rest of a_2 f_r'' is sent within a_3, smoothed: where f_r depends on f, as
-in a hybrid simulation, the full a_2 would remove the damping of a resonance above the reference's frequencies.
+The box applies all of them at 1 kHz to exact derivatives of f_r. Without a_4 the full a_2 would, where f_r depends on f
+as in a hybrid simulation, remove the damping of a resonance above the reference's frequencies.
 
 A residual of the fit above `residual_threshold` indicates a change of the bench, and raises the forgetting rate.
 
 A step with an implausible force is excluded: a load cell that is stuck or jumps, a load out of contact.
 
-Forgetting follows excitation: without excitation nothing is forgotten, a_1, a_2, b and c hold, and a_0 and a_3 return
-to 1 and 0.
+Forgetting follows excitation: without excitation nothing is forgotten, a_1, a_2, a_4, b and c hold, and a_0 and a_3
+return to 1 and 0.
 
 With a known amplifier of the load cell, f = f_s / (1 + 2 d s / w + s^2 / w^2), the fit is on the force f_s at its input
 instead, F_s = F + 2 d F' / w + F'' / w^2: then the force on the specimen follows f_r.
@@ -57,7 +57,7 @@ from hydro_sim.model.equations import LOAD_CELL_DAMPING
 
 STEP_PERIOD = SAMPLES_PER_STEP * SAMPLE_PERIOD  # time [s] between two updates
 
-FILTER_ORDER = 5  # of the state-variable filter: four derivatives, two of them for the load cell's amplifier
+FILTER_ORDER = 6  # of the state-variable filter: five derivatives, two of them for the load cell's amplifier
 
 FILTER_SETTLING_TIME = 0.2  # settling time [s] of the filter after a gap, in which the fit is not updated
 
@@ -65,17 +65,10 @@ PREDICTION_HORIZON = 0.01  # prediction horizon [s] of f_r' in the further terms
 
 PLAY_HALF_WIDTHS = (0.25, 0.5, 0.75)  # S_j over `force_scale`
 
-INITIAL_COEFFICIENTS = np.array((1.0, 0.02, 1e-4, 0.0, *[0.0] * (4 + len(PLAY_HALF_WIDTHS))))
-"""Initial a_0 to a_3, b_0 to b_3, c_0 to c_2; a_1 is half the usual lag, which bounds its initial error by as much."""
+INITIAL_COEFFICIENTS = np.array((1.0, 0.02, 1e-4, *[0.0] * (6 + len(PLAY_HALF_WIDTHS))))
+"""Initial a_0 to a_4, b_0 to b_3, c_0 to c_2; a_1 is half the usual lag, which bounds its initial error by as much."""
 
-BOX_SHARE = 0.75
-"""Share of a_2 applied by the box; 1 destabilises two of 20 plants of `benchmarks.hybrid_simulation`, 0.85 nearly."""
-
-RATE_SAMPLES = 40  # samples of f_r' to which a cubic is fitted
-
-_CUBIC_FIT = np.linalg.pinv(np.vander(SAMPLE_PERIOD * np.arange(1 - RATE_SAMPLES, 1), 4, increasing=True))
-SECOND_DERIVATIVE_WEIGHTS: FloatArray = _CUBIC_FIT[1] + 2.0 * PREDICTION_HORIZON * _CUBIC_FIT[2]
-"""Weights of the last `RATE_SAMPLES` f_r' in the predicted f_r'', `PREDICTION_HORIZON` after the last one."""
+LEVEL, VALVE_TERMS = 3, 5  # indices of a_3 and b_0
 
 VALIDITY_MASK = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED | Flag.SENSOR_FAULT)
 """Mask of the flags that decide on a sample's use: of these only ARMED may be set."""
@@ -85,7 +78,7 @@ VALIDITY_MASK = int(Flag.ARMED | Flag.SATURATED | Flag.WATCHDOG | Flag.TRIPPED |
 class CompensatorSettings:
     """Settings of the coefficient estimator `Compensator`."""
 
-    bandwidth: Annotated[float, quantity("Hz", 1.0, 50.0)] = 15.0
+    bandwidth: Annotated[float, quantity("Hz", 1.0, 50.0)] = 20.0
     """Of each pole of the filter that force and command run through."""
     memory: Annotated[float, quantity("s", 0.1, 60.0)] = 2.0
     """Time constant of forgetting under good excitation."""
@@ -93,6 +86,8 @@ class CompensatorSettings:
     """Time constant with which a_0 and a_3 return to 1 and 0 where nothing is learnt."""
     weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-4
     """Of `INITIAL_COEFFICIENTS` in the fit; a second of a sine of 1 Hz with `force_scale` weighs 0.5."""
+    third_weight: Annotated[float, quantity("-", 0.0, 10.0)] = 0.1
+    """Of a_4 = 0: below 2 Hz f''' tells it badly from a_1."""
     valve_weight: Annotated[float, quantity("-", 0.0, 1.0)] = 1e-2
     """Of the absence of the terms of b and c: smooth steps tell them badly from f'."""
     force_scale: Annotated[float, quantity("N", 1e-3, 1e7)] = NOMINAL.force
@@ -146,24 +141,23 @@ class _Constants(NamedTuple):
 
     transition: FloatArray
     inputs: FloatArray  # of the state-variable filter; see `_filter`
-    regressors: FloatArray  # from the filtered force and its derivatives to regressors, shape (3, `FILTER_ORDER`)
-    scale: FloatArray  # of each regressor, shape (11,)
-    weights: FloatArray  # of `INITIAL_COEFFICIENTS`, shape (11,)
+    regressors: FloatArray  # of a_0, a_1, a_2, a_4 from the filtered force, shape (4, `FILTER_ORDER`)
+    scale: FloatArray  # of each regressor, shape (12,)
+    weights: FloatArray  # of `INITIAL_COEFFICIENTS`, shape (12,)
     lower: FloatArray
-    upper: FloatArray  # bounds of the fit, shape (11,)
+    upper: FloatArray  # bounds of the fit, shape (12,)
     plays: FloatArray  # S_j [N], shape (3,)
 
 
 class _Memory(NamedTuple):
     """State of the estimators of n benches."""
 
-    estimate: FloatArray  # a_0 to a_3, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 11)
+    estimate: FloatArray  # a_0 to a_4, b_0 [N], b_1 [s], b_2 and b_3 [s/N], c_0 to c_2 [s], shape (n, 12)
     states: FloatArray  # f_c, f and the terms of b and c, filtered, and derivatives, shape (n, 9, `FILTER_ORDER`)
     last: FloatArray  # the same nine of the last sample, shape (n, 9)
     within: FloatArray  # f_r - p_j, where f_r is within each play [N], shape (n, 3)
-    rates: FloatArray  # last f_r' [N/s], the newest last, shape (n, `RATE_SAMPLES`); NaN: none yet
     matrix: FloatArray
-    vector: FloatArray  # of the fit, shapes (n, 11, 11) and (n, 11)
+    vector: FloatArray  # of the fit, shapes (n, 12, 12) and (n, 12)
     steps: npt.NDArray[np.int64]  # since the last gap, shape (n,)
     excitation: FloatArray  # shape (n,)
 
@@ -191,37 +185,40 @@ class Compensator:
         self.settings, self.law = settings or CompensatorSettings(), law or BoxLaw()
         omega, force = 2.0 * math.pi, self.settings.force_scale  # 1 Hz
         valve = 1.0 / force, omega, omega * force, omega * force
-        scale = np.array((1.0, omega, omega**2, 1.0 / force, *valve, *[omega] * len(PLAY_HALF_WIDTHS)))
+        scale = np.array((1.0, omega, omega**2, 1.0 / force, omega**3, *valve, *[omega] * len(PLAY_HALF_WIDTHS)))
         least, most, share = self.law.coefficient_min, self.law.coefficient_max, -self.law.coefficient_min[1]
         inverse: tuple[float, ...] = (1.0,)  # polynomial in s from the cell's reading to the force in front of it
         if cell is not None:
             natural = 2.0 * math.pi * cell.bandwidth
             inverse = 1.0, 2.0 * cell.damping / natural, 1.0 / natural**2
-        regressors = np.zeros((3, FILTER_ORDER))
-        for row in range(3):
+        regressors = np.zeros((4, FILTER_ORDER))
+        for row in range(4):
             regressors[row, row : row + len(inverse)] = inverse
         self._constants = _Constants(
             *_filter(self.settings.bandwidth),
-            regressors=regressors / scale[:3, np.newaxis] / force,
+            regressors=regressors / scale[[0, 1, 2, 4], np.newaxis] / force,
             scale=scale,
-            weights=np.array([self.settings.weight] * 4 + [self.settings.valve_weight] * (4 + len(PLAY_HALF_WIDTHS))),
-            lower=np.array(
-                (*least, least[3], -share, -share / force, -share / force, *[-share] * len(PLAY_HALF_WIDTHS))
+            weights=np.array(
+                [self.settings.weight] * (VALVE_TERMS - 1)
+                + [self.settings.third_weight]
+                + [self.settings.valve_weight] * (len(INITIAL_COEFFICIENTS) - VALVE_TERMS)
             ),
-            upper=np.array((*most, most[3], share, share / force, share / force, *[share] * len(PLAY_HALF_WIDTHS))),
+            lower=np.array(
+                (*least, least[LEVEL], -share, -share / force, -share / force, *[-share] * len(PLAY_HALF_WIDTHS))
+            ),
+            upper=np.array((*most, most[LEVEL], share, share / force, share / force, *[share] * len(PLAY_HALF_WIDTHS))),
             plays=np.multiply(PLAY_HALF_WIDTHS, force),
         )
         self._numbers = np.array([astuple(self.settings)], _SETTINGS_DTYPE)
-        self.coefficients: FloatArray = np.empty((count, 4))
-        """Commanded a_0 [-], a_1 [s], a_2 [s^2] (`BOX_SHARE` of the fit), a_3 [N] (all other terms), shape (n, 4)."""
+        self.coefficients: FloatArray = np.empty((count, VALVE_TERMS))
+        """Commanded a_0 [-], a_1 [s], a_2 [s^2], a_3 [N] (with the terms of b and c), a_4 [s^3], shape (n, 5)."""
         self.counted: npt.NDArray[np.bool_] = np.zeros(count, bool)  # benches whose last step counted, shape (n,)
         self.frozen = np.zeros(count, bool)  # benches whose coefficients hold on request, shape (n,)
         self._memory = _Memory(
             estimate=np.empty((count, *INITIAL_COEFFICIENTS.shape)),
-            states=np.empty((count, len(INITIAL_COEFFICIENTS) - 2, FILTER_ORDER)),
-            last=np.empty((count, len(INITIAL_COEFFICIENTS) - 2)),
+            states=np.empty((count, len(INITIAL_COEFFICIENTS) - 3, FILTER_ORDER)),
+            last=np.empty((count, len(INITIAL_COEFFICIENTS) - 3)),
             within=np.empty((count, len(PLAY_HALF_WIDTHS))),
-            rates=np.empty((count, RATE_SAMPLES)),
             matrix=np.empty((count, *2 * INITIAL_COEFFICIENTS.shape)),
             vector=np.empty((count, *INITIAL_COEFFICIENTS.shape)),
             steps=np.empty(count, np.int64),
@@ -233,17 +230,17 @@ class Compensator:
 
     def reset(self, rows: int | slice = slice(None)) -> None:
         """Reset the estimators of these benches to `INITIAL_COEFFICIENTS`, without memory of earlier samples."""
-        self.coefficients[rows] = INITIAL_COEFFICIENTS[:4] * (1.0, 1.0, BOX_SHARE, 1.0)
+        self.coefficients[rows] = INITIAL_COEFFICIENTS[:VALVE_TERMS]
         for array in self._memory:
             array[rows] = 0
-        self._memory.estimate[rows], self._memory.rates[rows] = INITIAL_COEFFICIENTS, np.nan
+        self._memory.estimate[rows] = INITIAL_COEFFICIENTS
 
     @property
     def at_bound(self) -> npt.NDArray[np.bool_]:
         """Whether a coefficient of each bench is at a limit, shape (n,)."""
         low, high = self._constants.lower, self._constants.upper
-        found, level = self._memory.estimate, self.coefficients[:, 3:]
-        at = ((found <= low) | (found >= high), (level <= low[3]) | (level >= high[3]))
+        found, level = self._memory.estimate, self.coefficients[:, LEVEL, np.newaxis]
+        at = ((found <= low) | (found >= high), (level <= low[LEVEL]) | (level >= high[LEVEL]))
         return np.any(np.concatenate(at, axis=1), axis=1)
 
     def step(

@@ -10,13 +10,13 @@ import numpy as np
 
 from hydro_core.signals import SAMPLE_PERIOD, SAMPLES_PER_STEP
 from hydro_policy.compensation.estimator import (
-    BOX_SHARE,
     FILTER_ORDER,
     FILTER_SETTLING_TIME,
     INITIAL_COEFFICIENTS,
+    LEVEL,
     PREDICTION_HORIZON,
-    SECOND_DERIVATIVE_WEIGHTS,
     STEP_PERIOD,
+    VALVE_TERMS,
 )
 from hydro_sim.jit import njit
 
@@ -74,23 +74,18 @@ def _play(plays, within, rate, seconds, into):
 @njit
 def _command(settings, constants, memory, rate, reference, coefficients, i):
     """Compute the coefficients for the next policy step; a_3 holds where f_r' is missing."""
-    found, past, added = memory.estimate[i], memory.rates[i], np.empty(len(INITIAL_COEFFICIENTS) - 4)
-    if np.isnan(past).any():
-        past[:] = rate[0]
-    past[:-SAMPLES_PER_STEP], past[-SAMPLES_PER_STEP:] = past[SAMPLES_PER_STEP:].copy(), rate
+    found, added = memory.estimate[i], np.empty(len(INITIAL_COEFFICIENTS) - VALVE_TERMS)
     ahead = rate[-1] + (rate[-1] - rate[0]) * PREDICTION_HORIZON / (STEP_PERIOD - SAMPLE_PERIOD)
     _terms(settings, reference + PREDICTION_HORIZON * ahead, ahead, added)
     within = memory.within[i].copy()
     _play(constants.plays, within, 0.5 * (rate[-1] + ahead), PREDICTION_HORIZON, added[4:])
     _play(constants.plays, within, ahead, SAMPLE_PERIOD, added[4:])
-    level = (
-        found[3] + np.sum(found[4:] * added) + (1.0 - BOX_SHARE) * found[2] * np.sum(SECOND_DERIVATIVE_WEIGHTS * past)
-    )
-    coefficients[:3] = found[:3]
-    coefficients[2] *= BOX_SHARE
-    if np.isfinite(level):
-        coefficients[3] = level
-    coefficients[:] = np.minimum(np.maximum(coefficients, constants.lower[:4]), constants.upper[:4])
+    level = found[LEVEL] + np.sum(found[VALVE_TERMS:] * added)
+    for j in range(VALVE_TERMS):
+        if j != LEVEL:
+            coefficients[j] = found[j]
+        elif np.isfinite(level):
+            coefficients[j] = min(max(level, constants.lower[j]), constants.upper[j])
 
 
 @njit
@@ -114,8 +109,9 @@ def _learn(settings, constants, memory, i):
     """Update fit and coefficients."""
     share, states, found = STEP_PERIOD / settings.memory, memory.states[i], memory.estimate[i]
     phi = np.ones(len(INITIAL_COEFFICIENTS))
-    phi[:3] = constants.regressors @ states[1]
-    phi[4:] = states[2:, 0] / constants.scale[4:] / settings.force_scale
+    phi[:LEVEL] = constants.regressors[:LEVEL] @ states[1]
+    phi[LEVEL + 1] = np.sum(constants.regressors[LEVEL] * states[1])
+    phi[VALVE_TERMS:] = states[2:, 0] / constants.scale[VALVE_TERMS:] / settings.force_scale
     target = states[0, 0] / settings.force_scale
     memory.excitation[i] += share * (2.0 * phi[1] ** 2 - memory.excitation[i])
     excitation = memory.excitation[i]
@@ -133,4 +129,4 @@ def _learn(settings, constants, memory, i):
         found[:] = np.minimum(np.maximum(fit, constants.lower), constants.upper)
     else:
         found[0] += (1.0 - found[0]) * STEP_PERIOD / settings.settling
-        found[3] -= found[3] * STEP_PERIOD / settings.settling
+        found[LEVEL] -= found[LEVEL] * STEP_PERIOD / settings.settling

@@ -94,8 +94,8 @@ class LiveCompensation:
     @property
     def command(self) -> LawCommand:
         """Command of the compensated law with its present coefficients."""
-        a_0, a_1, a_2, a_3 = self._adapted.coefficients[0].tolist()
-        return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3))
+        a_0, a_1, a_2, a_3, a_4 = self._adapted.coefficients[0].tolist()
+        return replace(self._safe, coefficients=(a_0, a_1, a_2, a_3, a_4))
 
     @property
     def health(self) -> dict[str, object]:

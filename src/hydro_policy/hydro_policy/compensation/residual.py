@@ -219,13 +219,13 @@ class Residual:
     ) -> FloatArray:
         """Update with the samples of a policy step; return a copy of the residual `value` for the next one.
 
-        `reference`, `rate`, `measured`: f_r [N], f_r' [N/s] and f [N], shape (n, 10). `coefficients`: a_0 to a_3 of the
-        law without a residual, shape (n, 4). `counted`: whether each bench's samples are used (`Compensator.counted`),
+        `reference`, `rate`, `measured`: f_r [N], f_r' [N/s] and f [N], shape (n, 10). `coefficients`: a_0 to a_4 of the
+        law without a residual, shape (n, 5). `counted`: whether each bench's samples are used (`Compensator.counted`),
         shape (n,); other benches pause, for more than `PAUSE_STEPS_MAX` steps with a restart of the warm-up.
         """
         finite = (np.isfinite(signal).all(axis=1) for signal in (reference, rate, measured, coefficients))
         fine: npt.NDArray[np.bool_] = np.all(tuple(finite), axis=0)
-        a = np.where(fine[:, np.newaxis], coefficients, 0.0)
+        a = np.where(fine[:, np.newaxis], coefficients[:, :4], 0.0)  # what it was trained on
         rates = np.where(fine[:, np.newaxis], rate, 0.0) / self._scale
         fine &= counted
         error = np.where(fine[:, np.newaxis], reference - measured, 0.0) / self._scale
@@ -335,7 +335,7 @@ class Residual:
 
 
 class AdaptedLaw:
-    """Adapted compensated law of n benches: the estimator's a_0 to a_3, plus the learned residual in a_3.
+    """Adapted compensated law of n benches: the estimator's a_0 to a_4, plus the learned residual in a_3.
 
     `estimator`: estimator of the n benches. `residual`: residual of the same benches; None: none is added.
     """
@@ -349,7 +349,7 @@ class AdaptedLaw:
 
     @property
     def coefficients(self) -> FloatArray:
-        """Coefficients a_0 to a_3 to command, residual included, shape (n, 4); a copy."""
+        """Coefficients a_0 to a_4 to command, residual included, shape (n, 5); a copy."""
         a = self.estimator.coefficients.copy()
         a[:, 3] += self.added
         return a

@@ -75,7 +75,7 @@ class Compensated(Controller):
         return self._compensation.command
 
     def reset(self) -> None:
-        """Reset the coefficients to `compensation.estimator.INITIAL_COEFFICIENTS`: (1, 0.02 s, 1e-4 s^2, 0 N)."""
+        """Reset the coefficients to `compensation.estimator.INITIAL_COEFFICIENTS`: 1, 0.02 s, 1e-4 s^2, 0 N, 0 s^3."""
         self._compensation.reset(learned=self._learned)
 
     def gains(self, sample: FloatArray) -> tuple[float, float]:

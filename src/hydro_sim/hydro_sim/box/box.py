@@ -234,9 +234,9 @@ def box_info(bench: Bench, config: BoxConfig, name: str) -> BoxInfo:
 def law_state(state: np.void) -> LawState:
     """Return the force law's state in the last sample from a record of hydro_box."""
     acting = state["acting"]
-    a_0, a_1, a_2, a_3, c_1, c_2 = acting["shaping"].tolist()
+    a_0, a_1, a_2, a_3, a_4, c_1, c_2 = acting["shaping"].tolist()
     followed = float(acting["reference"]), float(acting["reference_rate"])
-    return LawState(Law(int(acting["law"])), *followed, (a_0, a_1, a_2, a_3), c_1, c_2)
+    return LawState(Law(int(acting["law"])), *followed, (a_0, a_1, a_2, a_3, a_4), c_1, c_2)
 
 
 def fill_command(record: RecordArray, command: Command) -> None:

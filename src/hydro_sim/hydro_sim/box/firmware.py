@@ -36,11 +36,11 @@ Precision = Literal["double", "single"]
 RecordArray = npt.NDArray[np.void]
 Pointer = ctypes.c_void_p
 
-BURST_MAX = 516
+BURST_MAX = 564
 """HYDRO_BURST_MAX: largest number of bytes that a box sends after one sample."""
-SHAPING_COEFFICIENT_COUNT = 4
-"""Coefficients a_0 to a_3 at the beginning of a law's shaping."""
-VELOCITY_COMPENSATION_INDEX, VALVE_GAIN_SCALE_INDEX = 4, 5
+SHAPING_COEFFICIENT_COUNT = 5
+"""Coefficients a_0 to a_4 at the beginning of a law's shaping."""
+VELOCITY_COMPENSATION_INDEX, VALVE_GAIN_SCALE_INDEX = 5, 6
 """Indices of C_1 and C_2 in a law's shaping."""
 
 BENCH_FIELDS = (
@@ -63,7 +63,7 @@ def structures(real: Any) -> Structures:
     """Return the structures with `real` as hydro_real."""
     kinds: dict[str, Any] = {
         "real": real, "time": np.float64, "uint32": np.uint32, "bool": np.bool_, "address": np.uintp,
-        "shaping": (real, (6,)), "measured": (real, (8,)), "values": (real, (14,)), "refused": (np.uint32, (2,)),
+        "shaping": (real, (7,)), "measured": (real, (8,)), "values": (real, (14,)), "refused": (np.uint32, (2,)),
         "piece": (np.uint8, (160,)), "name": (np.uint8, (32,)), "digest": (np.uint8, (12,)),
     }  # fmt: skip
 
@@ -92,7 +92,7 @@ def structures(real: Any) -> Structures:
     structure("signal", "uint32 waveform; real amplitude offset; time frequency phase start")
     structure("reference", "signal leaving coming wanted; time fade_start")
     structure("sample", "time time; uint32 sequence; values values; uint32 flags")
-    structure("acting", "uint32 law; real reference reference_rate; shaping shaping; real second")
+    structure("acting", "uint32 law; real reference reference_rate; shaping shaping")
     structure(
         "command",
         "uint32 sequence corrects; bool arm filter_fresh; uint32 broken; real delta_kp delta_ki delta_u; "

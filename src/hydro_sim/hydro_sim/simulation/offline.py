@@ -126,8 +126,8 @@ PLAYBACK_FREQUENCY = 10.0
 def _played(reference: FloatArray, samples: int) -> npt.NDArray[np.void]:
     """A signal per sample: a sine where it crosses its offset, so that its value and rate are those recorded there.
 
-    None is faded in: a recording holds its own fade. Higher derivatives, which only a_1 and a_2 of a compensated
-    reference would feel, are not the recorded ones.
+    None is faded in: a recording holds its own fade. Higher derivatives, which only a_1, a_2 and a_4 of a
+    compensated reference would feel, are not the recorded ones. Where f_c is played, the integral is of f_c - f.
     """
     value, rate = reference.T
     signals = np.zeros(samples, firmware.DOUBLE_STRUCTURES.signal)

@@ -14,8 +14,9 @@ const PLOTS = [
   { title: "Error", unit: "N", span: 10, lines: [[0, "error", VERMILION]] },
   { title: "Gains", unit: "1/s, 1/s²", span: 10, lines: [[0, "K_p", BLUE], [0, "K_i", VERMILION, [6, 3]]] },
   {
-    title: "Coefficients of f_c", unit: "%, ms, 10⁻⁵ s², N", span: 10,
-    lines: [[2, "a_0", INK], [2, "a_1", BLUE], [2, "a_2", VERMILION, [6, 3]], [2, "a_3", GREEN, [2, 3]]],
+    title: "Coefficients of f_c", unit: "%, ms, 10⁻⁵ s², N, 10⁻⁶ s³", span: 10,
+    lines: [[2, "a_0", INK], [2, "a_1", BLUE], [2, "a_2", VERMILION, [6, 3]], [2, "a_3", GREEN, [2, 3]],
+            [2, "a_4", BLUE, [2, 3]]],
   },
   { title: "Valve current", unit: "mA", span: 4, lines: [[0, "current", BLUE]] },
   { title: "Correction of the filter", unit: "mA", span: 0.4, lines: [[1, "correction", VERMILION]] },
