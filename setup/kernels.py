@@ -93,7 +93,8 @@ def _diagnosis() -> None:
     causes = {effect.label: effect for effect in LIBRARY}
     leak = base.EffectHypothesis(causes["leakage_internal"], {"coefficient": 0.0})
     gain = base.EffectHypothesis(causes["valve_gain"], {"ratio": 1.0})
-    for claims in ((), (leak,), (gain,)):
+    line = base.EffectHypothesis(causes["return_line"], {"resistance": 0.0, "time_constant": 0.05})
+    for claims in ((), (leak,), (gain,), (line,)):
         model.residuals(base.PRESSURE, claims), model.motion_residual(claims)
         simulated, begins = simulation.WindowSimulation(model, claims), np.arange(20, 40, 10)
         simulated.readings(simulated.recorded[:, begins], begins, 3)
