@@ -75,7 +75,7 @@ static inline hydro_loop_sample hydro_loop_sample_of(
     hydro_loop_sample made = {
         .nominal = values[HYDRO_NOMINAL], .current = values[HYDRO_CURRENT], .reference = values[HYDRO_REFERENCE],
         .reference_rate = values[HYDRO_REFERENCE_RATE], .k_p = values[HYDRO_KP], .followed = acting->reference,
-        .followed_rate = acting->reference_rate, 
+        .followed_rate = acting->reference_rate,
         .c_1 = acting->shaping[HYDRO_COEFFICIENTS], .c_2 = acting->shaping[HYDRO_COEFFICIENTS + 1], .armed = armed};
     hydro_copy(made.x, values, sizeof made.x);
     return made;
