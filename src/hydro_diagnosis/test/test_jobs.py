@@ -43,7 +43,7 @@ def cluster(tmp_path: Path) -> Iterator[str]:
         subprocess.Popen(each, stderr=subprocess.DEVNULL, start_new_session=True) for each in (scheduler, workers)
     ]
     try:
-        while not file.exists():
+        while not file.exists() or not file.read_text().rstrip().endswith("}"):
             time.sleep(0.1)
         yield json.loads(file.read_text())["address"]
     finally:
