@@ -149,6 +149,7 @@ class GraphNode(Node):
         """Estimator that follows the box's compensated law; see `compensate`."""
         self.load_force_file: Path | None = None
         """File of the forces on an emulated load (`hydro_sim.files.load_force`), if there is one."""
+        self.ended = 0  # sequence of the sample that ended the last session
         self._session: Session | None = None
         self._meeting: Readiness | None = None  # while waiting for a plant to describe its box
         self._readiness = Readiness([], self.warn)  # of what a session awaits by the wall clock
@@ -416,7 +417,8 @@ class GraphNode(Node):
                 self._tick(session, self.now())
         except Exception as error:
             self.fail(error)
-        if session.finished:
+        if session.finished and not self._done.done():
+            self.ended = message.sequence
             self._finish()
         if ends:
             self._owed = message.sequence

@@ -200,7 +200,7 @@ def train(options: argparse.Namespace) -> int:
     found = [] if results is None else report_results(results, run, notes)
     digest = ""
     if finished and node.paced:
-        digest = run_digest(run.policy, run.recordings, results.scores if results else ())
+        digest = run_digest(run.policy, run.recordings, results.scores if results else (), node.ended)
         record.add("digest", run_digest=digest, circumstances=platform_description())
     record.flush()
     try:

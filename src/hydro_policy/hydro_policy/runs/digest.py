@@ -5,7 +5,8 @@ SHA-256 over, in order::
 
     policy    its tensors by name, each as little-endian float32
     states    each recorded BenchState by sequence, little-endian: 15 float64 (its stamp in ns since the first, and the
-              fields of the message in their order), flags and sequence as uint32; one recorded twice counts once
+              fields of the message in their order), flags and sequence as uint32; one recorded twice counts once.
+              They end with the sample that ended the run: when the plant is disarmed after it is the wall clock's
     table     the rows of the closing comparison as canonical JSON: sorted keys, no blanks, full precision, NaN as null
 """
 
@@ -13,7 +14,7 @@ from __future__ import annotations
 
 import hashlib
 import platform
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
@@ -29,8 +30,11 @@ from hydro_policy.task.cases import Score
 _ROW_DTYPE = np.dtype([("numbers", "<f8", (1 + len(STATE_FIELDS),)), ("flags", "<u4"), ("sequence", "<u4")])
 
 
-def run_digest(policy: Path, recordings: Iterable[Path], rows: Sequence[Score]) -> str:
-    """Return the digest, 64 hexadecimal digits, of a policy's file, recordings in their order, and a table's rows."""
+def run_digest(policy: Path, recordings: Sequence[Path], rows: Sequence[Score], end: int) -> str:
+    """Return the digest, 64 hexadecimal digits, of a policy's file, recordings in their order, and a table's rows.
+
+    `end`: sequence of the sample that ended the run; later ones of the last recording do not count.
+    """
     content = hashlib.sha256()
     for _, tensor in sorted(load_file(policy).items()):
         content.update(np.ascontiguousarray(tensor, "<f4").tobytes())
@@ -48,7 +52,10 @@ def run_digest(policy: Path, recordings: Iterable[Path], rows: Sequence[Score]) 
             for column, name in enumerate(STATE_FIELDS):
                 packed["numbers"][:, column + 1] = states[name]
             packed["flags"], packed["sequence"] = states["flags"], states["sequence"]
-            content.update(packed.tobytes())
+            ended = path == recordings[-1] and end in states["sequence"]
+            content.update(packed[: list(states["sequence"]).index(end) + 1 if ended else None].tobytes())
+            if ended:
+                break
     content.update(msgspec.json.encode(list(rows), order="sorted"))
     return content.hexdigest()
 
