@@ -93,6 +93,9 @@ def _make(ros: Path | None, needed: Mapping[str, str], kernels: str) -> None:
         try:
             builds = []
             if "build" in needed:
+                for link in (*(ROOT / "build").rglob("*"), *INSTALL.rglob("*")):
+                    if link.is_symlink() and not link.exists():  # of a file that has left, which colcon would copy
+                        link.unlink()
                 _link_sources()
                 for title, chosen in (("C code of the box", ["--packages-select", "hydro_firmware"]), ("packages", [])):
                     command = [str(PYTHON), "-m", "colcon", "build", "--symlink-install", "--metas", "colcon.meta"]

@@ -27,7 +27,7 @@ from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_msgs.msg import Authority, BenchState, Correction, Gains
 from hydro_msgs.srv import Claim
 from hydro_policy.nodes.plant_options import PlantOptions
-from hydro_policy.nodes.plants import start_companions
+from hydro_policy.nodes.plants import GRAPH_FILE, plant_graph, start_nodes
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import Probe
 
@@ -45,7 +45,8 @@ class Defended:
 
     def __init__(self, folder: Path, stack: ExitStack) -> None:
         self.text: list[str] = []
-        self.companions = start_companions(stack, PlantOptions(plant="emulator"), GainRange(), folder, self.text.append)
+        graph = plant_graph(PlantOptions(plant="emulator"), GainRange(), folder)
+        self.companions = start_nodes(stack, folder / GRAPH_FILE, graph, self.text.append)
         self.probe = Probe()
         stack.callback(self.probe.close)
         self.probe.commands = True

@@ -44,6 +44,8 @@ class Probe:
         self.commander = Commander(self.node)
         self.commands = False
         """Whether it keeps the authority."""
+        self.graph: dict[str, dict[str, Any]] = {}
+        """What the nodes were started with."""
         self.arming = self.node.create_client(Claim, CLAIM_SERVICE)
         self.disarming = self.node.create_client(SetBool, ARM_SERVICE)
         self._executor = SingleThreadedExecutor(context=self.context)

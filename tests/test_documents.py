@@ -15,6 +15,9 @@ from functools import lru_cache
 from pathlib import Path
 
 from docs import generate_reference
+from hydro_bridge.arguments import sections
+from hydro_core.settings import read_yaml
+from hydro_policy.nodes.plants import EXECUTABLES
 
 ROOT = Path(__file__).resolve().parent.parent
 FRONT = [ROOT / name for name in ("README.md", "CHANGELOG.md", "CONTRIBUTING.md")]
@@ -63,15 +66,13 @@ def test_options_are_known_to_their_commands() -> None:
     assert unknown == []
 
 
-def test_launch_files_give_their_executables_options_that_these_take() -> None:
-    for path in ROOT.glob("src/*/launch/*.launch.py"):
-        nodes = list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
-        words = [{word.arg: getattr(word.value, "value", "") for word in node.keywords}
-                 for node in nodes if isinstance(node, ast.Call)]  # fmt: skip
-        known = {option for call in words if "executable" in call
-                 for option in parser_of(call["package"], call["executable"])._option_string_actions}  # fmt: skip
-        given = {str(node.value) for node in nodes if isinstance(node, ast.Constant)}
-        assert {word for word in given if re.fullmatch(r"--[a-z-]+", word)} <= known, path.name
+def test_graph_files_give_their_nodes_options_that_these_take() -> None:
+    files = sorted(ROOT.glob("src/*/launch/*.yaml"))
+    assert [path.stem for path in files] == ["bench", "emulator", "sim"]
+    for path in files:
+        for pattern, given in sections(read_yaml(path)):
+            known = {action.dest for action in parser_of(*EXECUTABLES[pattern.strip("/")])._actions}
+            assert {name for name in given if "." not in name} <= known, (path.name, pattern)
 
 
 def test_python_blocks_import_what_is_there() -> None:

@@ -95,8 +95,8 @@ def test_a_site_stands_for_the_options_of_each_executable(tmp_path: Path) -> Non
         apply_site(asked)
         assert (asked.bench, asked.model, asked.base_gains) == (tmp_path / site.BENCH_FILE, model, [20.0, 4.0])
         assert asked.filter == f"--model {tmp_path / site.MODEL_FILE} --metric {tmp_path / site.METRIC_FILE}"
-    settings, _ = sim.parse_args(words)
-    assert (settings.bench, settings.model) == (str(tmp_path / site.BENCH_FILE), str(tmp_path / site.MODEL_FILE))
+    _, asked = sim.plant_factory(words, [])
+    assert (asked.bench, asked.model) == (tmp_path / site.BENCH_FILE, tmp_path / site.MODEL_FILE)
 
 
 def test_a_gate_holds_as_long_as_its_files_do(tmp_path: Path) -> None:

@@ -13,12 +13,14 @@ import pytest
 
 pytest.importorskip("rclpy")
 
+from rclpy.parameter import parameter_value_to_python
+from rclpy.parameter_client import AsyncParameterClient
 
 from hydro_bridge.ros.messages import seconds
 from hydro_bridge.ros.topics import CORRECTION, GAINS, REFERENCE, STATE, create_subscription
 from hydro_core.signals import CorrectionStatus, Flag, ReferenceSignal, Waveform
 from hydro_policy.nodes.plant_options import PlantOptions
-from hydro_policy.nodes.plants import start_companions
+from hydro_policy.nodes.plants import GRAPH_FILE, plant_graph, start_nodes
 from hydro_policy.task.mdp import GainRange
 from tests.domains import own_domain
 from tests.graph_probe import Probe
@@ -34,8 +36,10 @@ def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
     with ExitStack() as stack:
         stack.enter_context(own_domain())
         folder = tmp_path_factory.mktemp("graph")
-        start_companions(stack, PlantOptions(plant=request.param, pace="real"), GainRange(), folder, print)
+        graph = plant_graph(PlantOptions(plant=request.param, pace="real"), GainRange(), folder)
+        start_nodes(stack, folder / GRAPH_FILE, graph, print)
         watcher = Probe()
+        watcher.graph = graph
         stack.callback(watcher.close)
         watcher.wait(lambda: len(watcher.heard[STATE]) > 100)
         watcher.wait(lambda: watcher.node.count_publishers(CORRECTION) == 1)  # the filter compiles first
@@ -43,6 +47,16 @@ def probe(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFacto
         watcher.wait(lambda: all(watcher.node.count_subscribers(topic) for topic in (GAINS, REFERENCE)))
         watcher.spin(1.0)
         yield watcher
+
+
+def test_ros2_param_shows_what_the_graphs_file_says(probe: Probe) -> None:
+    for name, values in probe.graph.items():
+        if name == "emulator":  # like the box itself, it knows no ROS
+            continue
+        answer = AsyncParameterClient(probe.node, name).get_parameters(list(values))
+        probe.wait(answer.done)
+        shown = [parameter_value_to_python(value) for value in answer.result().values]
+        assert dict(zip(values, shown, strict=True)) == values
 
 
 def test_disarmed_the_valve_is_still_and_armed_it_follows_the_reference_with_the_gains_asked_for(probe: Probe) -> None:

@@ -21,7 +21,7 @@ from hydro_bridge.serial.protocol import BoxLaw
 from hydro_core.signals import NEUTRAL_COEFFICIENTS, SAMPLE_PERIOD, Flag
 from hydro_msgs.msg import LawState
 from hydro_policy.nodes.plant_options import PlantOptions
-from hydro_policy.nodes.plants import start_companions
+from hydro_policy.nodes.plants import GRAPH_FILE, plant_graph, start_nodes
 from hydro_policy.supervision.plant_supervisor import ARM_HINT, EARLY_ARMING_MESSAGE
 from hydro_policy.task.mdp import GainRange
 from tests.graph_probe import SHORT, Probe, Trainer
@@ -103,7 +103,8 @@ def test_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
     create_subscription(probe.node, LAW_STATE, heard.append)
     words = ("--law", "compensated", "--rearm", "auto", "--frequencies", "2", "--runs", tmp_path, "--no-dashboard")
     with ExitStack() as plant:
-        start_companions(plant, PlantOptions(plant="emulator", pace="real"), GainRange(), tmp_path, print)
+        graph = plant_graph(PlantOptions(plant="emulator", pace="real"), GainRange(), tmp_path)
+        start_nodes(plant, tmp_path / GRAPH_FILE, graph, print)
         probe.wait(lambda: probe.heard[STATE], 120.0)
         estimating = start("hydro_policy evaluate", *words, "--name", "run")
         probe.wait(lambda: heard and heard[-1].a_1 > 0.01, 150.0)

@@ -125,7 +125,7 @@ def test_set_up_checkout_is_left_alone_and_at_once() -> None:
         ("doctor", "`ros2 doctor` needs a full ROS 2 Jazzy"),
         ("service call /hydro/arm std_srvs/srv/SetBool '{dat: 1}'", "has no field dat; it has: data"),
         ("service call /hydro/arm std_srvs/srv/SetBool '{data: 1}'", "data: 1 is no boolean"),
-        ("launch hydro_bridge bridge.launch.py", "`ros2 launch hydro_bridge` needs a full ROS 2 Jazzy"),
+        ("launch hydro_policy graph.launch.py", "`ros2 launch hydro_policy` needs a full ROS 2 Jazzy"),
         ("topic pub /hydro/state", "`ros2 topic pub` needs a full ROS 2 Jazzy"),
     ],
 )

@@ -21,7 +21,6 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
-        ("share/" + name + "/launch", glob("launch/*.launch.py")),
         ("share/" + name + "/layouts", glob("layouts/*")),
         ("share/" + name + "/config", glob("config/*")),
     ],

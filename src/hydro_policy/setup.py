@@ -13,7 +13,7 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
-        ("share/" + name + "/launch", glob("launch/*.launch.py")),
+        ("share/" + name + "/launch", glob("launch/*")),
         ("share/" + name + "/config", glob("config/*")),
     ],
     zip_safe=False,

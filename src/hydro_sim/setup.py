@@ -13,7 +13,6 @@ setup(
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + name]),
         ("share/" + name, ["package.xml"]),
-        ("share/" + name + "/launch", glob("launch/*.launch.py")),
         ("share/" + name + "/config", glob("hydro_sim/data/*.yaml")),
     ],
     zip_safe=False,

@@ -30,7 +30,7 @@ from hydro_msgs.srv import Claim
 from hydro_policy.evaluation.runner import Rest
 from hydro_policy.nodes.graph_node import GraphNode
 from hydro_policy.nodes.plant_options import NO_FILTER_WORDS, PlantOptions, box_mismatch
-from hydro_policy.nodes.plants import commands
+from hydro_policy.nodes.plants import Graph, executables, plant_graph
 from hydro_policy.runs.run_directory import RunDirectory, load_checkpoint
 from hydro_policy.sac.policy import Policy, load_policy
 from hydro_policy.sac.settings import SacSettings
@@ -184,17 +184,21 @@ def test_a_box_that_is_not_as_planned_or_says_nothing_is_refused_before_anything
 
 
 def test_companions_of_each_plant_and_a_guard_that_is_opened_is_told_what_it_relies_on() -> None:
-    def started(plant: str, gains: GainRange | None = None, **more: tuple[str, ...]) -> dict[str, list[str]]:
-        made = commands(PlantOptions(plant=plant, **more), gains or GainRange(), Path("run"))
-        return {executable: words for _, executable, words in made}
+    def made(plant: str, gains: GainRange | None = None, **more: tuple[str, ...]) -> Graph:
+        return plant_graph(PlantOptions(plant=plant, **more), gains or GainRange(), Path("run"))
 
-    assert list(started("sim")) == list(started("bench")) == ["filtered_plant"]
-    assert list(started("emulator")) == ["emulator", "filtered_plant"] and started("external") == {}
-    assert list(started("bench", filter=NO_FILTER_WORDS)) == ["bridge"]
+    def started(plant: str, **more: tuple[str, ...]) -> list[str]:
+        return [" ".join(words) for words in executables(made(plant, **more)).values()]
+
+    assert started("sim") == ["hydro_filter filtered_plant sim"]
+    assert started("bench") == ["hydro_filter filtered_plant bridge"]
+    assert started("emulator") == ["hydro_sim emulator", "hydro_filter filtered_plant bridge"]
+    assert started("external") == []
+    assert started("bench", filter=NO_FILTER_WORDS) == ["hydro_bridge bridge"]
     wide = GainRange(delta_kp_max=285.0)
-    words = started("sim", wide)["filtered_plant"]
-    assert "guard.delta_kp_max:=285.0" in words
-    assert words[-1] == f"guard.relies_on:=--metric {SHIPPED_METRIC}", "nothing opens the guard in silence"
-    words = started("sim", wide, filter=("--contraction-rate", "2"))["filtered_plant"]
-    assert "--filter=--contraction-rate 2" in words
-    assert words[-1] == "guard.relies_on:=--metric learned --contraction-rate 2"
+    sim = made("sim", wide)["sim"]
+    assert sim["guard.delta_kp_max"] == 285.0
+    assert sim["guard.relies_on"] == f"metric {SHIPPED_METRIC}", "nothing opens the guard in silence"
+    graph = made("sim", wide, filter=("--contraction-rate", "2"))
+    assert graph["filter"]["contraction_rate"] == 2.0
+    assert graph["sim"]["guard.relies_on"] == f"metric {SHIPPED_METRIC}, contraction_rate 2.0"

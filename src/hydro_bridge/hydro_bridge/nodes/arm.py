@@ -10,7 +10,8 @@ ros2 run hydro_bridge arm --off
 
 from __future__ import annotations
 
-from hydro_bridge.ros.node import call_service, ros_arguments
+from hydro_bridge.arguments import ros_arguments
+from hydro_bridge.ros.node import call_service
 from hydro_bridge.ros.topics import CLAIM_SERVICE
 from hydro_core.cli.console import UserError, bounded_number, command, make_parser
 from hydro_msgs.srv import Claim

@@ -14,11 +14,12 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from hydro_bridge.arguments import parse_arguments, ros_arguments
 from hydro_bridge.link.link import Link, LinkState
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, arming_state
 from hydro_bridge.plant_clock import LockStep, LockStepSettings
 from hydro_bridge.ros.diagnostics import Level, Status
-from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.node import declare_parameters, request_realtime, run_node
 from hydro_bridge.safety.box_info import bench_mismatches, describe_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_bridge.serial.port import Port, PortLostError, PortSettings, PortTakenError
@@ -114,13 +115,15 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode]:
-    """Return a factory of the node for this command line; it takes the filter in this process, or None.
+def plant_factory(
+    own: Sequence[str], ros: Sequence[str]
+) -> tuple[Callable[[Corrector | None], BridgeNode], argparse.Namespace]:
+    """Return a factory of the node, which takes the filter in this process or None, and its options.
 
     Raises UserError: the path is a file or a folder, or another program keeps the port for 2 s; a second bridge would
     answer /hydro/arm as well. A missing port may still appear: the link waits for it.
     """
-    options = parser().parse_args(own)
+    options = parse_arguments(parser(), "bridge", own, ros)
     site.apply_site_option(options, bench=site.BENCH_FILE)
     settings = PortSettings(path=options.port, baud=options.baud)
     file = options.bench or bench_digest.shipped_bench_file()
@@ -140,12 +143,12 @@ def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], BridgeNode
         else:
             port.close()
             break
-    return lambda corrector: BridgeNode(settings, bench, corrector, realtime=options.realtime)
+    return lambda corrector: BridgeNode(settings, bench, corrector, realtime=options.realtime), options
 
 
 @command()
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    make = plant_factory(own)
-    run_node(lambda: make(None), ros)
+    make, options = plant_factory(own, ros)
+    run_node(lambda: make(None), ros, [options])

@@ -24,6 +24,7 @@ from rclpy.node import Node
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_srvs.srv import SetBool, Trigger
 
+from hydro_bridge.arguments import parse_arguments, ros_arguments
 from hydro_bridge.bags.cdr import fixed_layout
 from hydro_bridge.pages import environment, series
 from hydro_bridge.pages.commands import COMMAND_SIZE_MAX, PageCommand, answer_commands, authorize
@@ -31,7 +32,7 @@ from hydro_bridge.pages.marks import flag_labels
 from hydro_bridge.pages.server import HOST, PORT, PageServer, encode_message
 from hydro_bridge.ros import topics
 from hydro_bridge.ros.messages import subscribe_to_box
-from hydro_bridge.ros.node import ros_arguments, run_node
+from hydro_bridge.ros.node import run_node
 from hydro_bridge.ros.topics import Mailbox, create_subscription
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.cli.console import bounded_number, command, make_parser
@@ -234,5 +235,5 @@ def main() -> None:
         "--port", type=bounded_number(0, 65535), metavar="N", help=f"default {PORT}, if taken a free one; 0: any"
     )
     own, ros = ros_arguments()
-    options = parser.parse_args(own)
-    run_node(partial(DashboardNode, options.host, options.port), ros)
+    options = parse_arguments(parser, "dashboard", own, ros)
+    run_node(partial(DashboardNode, options.host, options.port), ros, [options])

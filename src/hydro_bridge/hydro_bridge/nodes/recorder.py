@@ -20,13 +20,14 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.subscription import Subscription
 from rclpy.task import Future
 
+from hydro_bridge.arguments import parse_arguments, ros_arguments
 from hydro_bridge.bags.repair import repair
 from hydro_bridge.bags.writer import BagWriter, code_version
 from hydro_bridge.plant_clock import RECORDER_WINDOW
 from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Level, Status, warn_of_duplicate_nodes
 from hydro_bridge.ros.messages import STATE_CODEC
-from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.node import request_realtime, run_node
 from hydro_bridge.ros.topics import RECORDED_TOPICS, STATE, Mailbox, type_name
 from hydro_bridge.serial.stream import SequenceTracker
 from hydro_core.cli.console import command, writable_folder
@@ -120,11 +121,10 @@ class RecorderNode(Node):
         return Status(level=Level.WARN if lost else Level.OK, message=message, values=values)
 
 
-def _pair(text: str) -> tuple[str, str]:
-    key, sign, value = text.partition("=")
-    if not sign:
+def _pair(text: str) -> str:
+    if "=" not in text:
         raise argparse.ArgumentTypeError(f"{text!r} must be KEY=VALUE")
-    return key, value
+    return text
 
 
 @command(OSError)
@@ -143,13 +143,13 @@ def main() -> None:
     parser.add_argument("--attach", **several, type=Path, metavar="FILE", help="kept too, e.g. bench.yaml")
     parser.add_argument("--realtime", action="store_true", help="run before ordinary processes, if this user may")
     own, ros = ros_arguments()
-    options = parser.parse_args(own)
+    options = parse_arguments(parser, "recorder", own, ros)
     if options.repair:
         count, notes = repair(options.repair)
         print("\n".join([f"{options.repair}: kept {count} messages", *notes]), file=sys.stderr)
         return
-    metadata = {"code_version": code_version(), **dict(options.metadata)}
+    metadata = {"code_version": code_version(), **dict(pair.split("=", 1) for pair in options.metadata)}
     attachments = {path.name: path.read_bytes() for path in options.attach}
     writer = partial(BagWriter, options.out, metadata=metadata, attachments=attachments)
-    if run_node(lambda: RecorderNode(writer, realtime=options.realtime), ros).failed:
+    if run_node(lambda: RecorderNode(writer, realtime=options.realtime), ros, [options]).failed:
         sys.exit(1)

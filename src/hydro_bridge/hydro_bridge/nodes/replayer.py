@@ -20,10 +20,11 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import SetBool
 
+from hydro_bridge.arguments import ros_arguments
 from hydro_bridge.bags.recording import Bag
 from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATE_CODEC
-from hydro_bridge.ros.node import request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.node import request_realtime, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
 from hydro_core.cli.console import UserError, bounded_number, command
 from hydro_core.signals import Flag

@@ -10,6 +10,7 @@ adds shared memory, in which a plant's thread waits up to 333 ms for a new parti
 
 from __future__ import annotations
 
+import argparse
 import gc
 import os
 import re
@@ -18,7 +19,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, replace
 from difflib import get_close_matches
-from fnmatch import fnmatch
 from importlib import resources
 from itertools import pairwise
 from pathlib import Path
@@ -26,7 +26,6 @@ from typing import Any, TypeVar
 from weakref import WeakKeyDictionary
 
 import rclpy
-import yaml
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
 from rclpy.exceptions import ParameterException
 from rclpy.executors import ExternalShutdownException
@@ -36,12 +35,13 @@ from rclpy.signals import SignalHandlerOptions
 from rclpy.task import Future
 from rclpy.utilities import get_rmw_implementation_identifier
 
+from hydro_bridge.arguments import reaches, ros_arguments, sections
 from hydro_bridge.ros.keys import KEYSTORE_VARIABLE, enclave_name, security_enabled
 from hydro_bridge.ros.topics import ACCESS_RIGHTS, hidden_node
 from hydro_core.errors import UserError
 from hydro_core.process import termination
 from hydro_core.process.realtime import limit_run_time
-from hydro_core.settings import SettingsError, check, convert, describe
+from hydro_core.settings import SettingsError, check, convert, describe, read_yaml
 
 DISCOVERY_RANGE_VARIABLE = "ROS_AUTOMATIC_DISCOVERY_RANGE"
 FASTDDS_PROFILES_VARIABLE = "FASTRTPS_DEFAULT_PROFILES_FILE"
@@ -99,6 +99,16 @@ def declare_parameters(node: Node, settings: T, prefix: str = "") -> T:
     return declared
 
 
+def declare_options(node: Node, options: argparse.Namespace) -> None:
+    """Declare the options of a node's command line as read-only parameters, so that `ros2 param` shows what acts."""
+    descriptor = ParameterDescriptor(read_only=True, dynamic_typing=True)
+    for name, value in vars(options).items():
+        several = value and isinstance(value, list | tuple)
+        shown = [*map(str, value)] if several else value if isinstance(value, bool | int | float) else str(value or "")
+        if not node.has_parameter(name):
+            node.declare_parameter(name, shown, descriptor, ignore_override=True)
+
+
 def refuse_unknown_parameters(*nodes: Node) -> None:
     """Raise for parameters and remapped names that no node has; ROS would ignore them silently.
 
@@ -112,11 +122,10 @@ def refuse_unknown_parameters(*nodes: Node) -> None:
         if option in ("-p", "--param") and ":" in (rule := value.partition(":=")[0]):
             patterns = ["/" + rule.partition(":")[0].lstrip("/")]
         elif option == "--params-file":
-            patterns = sorted(_sections(yaml.safe_load(Path(value).read_text(encoding="utf-8"))))
+            patterns = sorted(pattern for pattern, _ in sections(read_yaml(value)))
         else:  # without a node's name a parameter is for all nodes
             continue
-        # In a parameter file `/**` stands for any parts of a name, `/*` for one.
-        reached = [each for each in patterns if any(fnmatch(name, each.replace("/**", "*")) for name in here)]
+        reached = [each for each in patterns if any(reaches(each, name) for name in here)]
         for pattern in patterns:
             name = pattern.rpartition("/")[2]
             misspelt = name not in ours and get_close_matches(name, (*ours, *ACCESS_RIGHTS))
@@ -146,16 +155,6 @@ def _refuse_unmatched_remaps(nodes: Sequence[Node]) -> None:
             raise SettingsError(
                 f"--remap {rule}: {' and '.join(n.get_name() for n in nodes)} has no such name to remap"
             )
-
-
-def _sections(content: Any, above: str = "") -> Iterator[str]:
-    """Yield the node names for which a parameter file has parameters."""
-    if isinstance(content, dict):
-        for key, value in content.items():
-            if key == "ros__parameters":
-                yield above
-            else:
-                yield from _sections(value, f"{above}/{str(key).strip('/')}")
 
 
 REALTIME_PRIORITY = 20
@@ -190,16 +189,6 @@ def request_realtime(*, realtime: bool, nice: int | None = None) -> str:
     except OSError as error:
         return f"ordinary scheduling, {'SCHED_FIFO' if nice is None else f'nice {nice}'} was refused: {error.strerror}"
     return f"SCHED_FIFO, priority {REALTIME_PRIORITY}"
-
-
-def ros_arguments() -> tuple[list[str], list[str]]:
-    """Split the command line into a node's own arguments and those after `--ros-args` (up to `--`, if there is one)."""
-    rest = sys.argv[1:]
-    if "--ros-args" not in rest:
-        return rest, []
-    begin = rest.index("--ros-args")
-    end = rest.index("--", begin) + 1 if "--" in rest[begin:] else len(rest)
-    return rest[:begin] + rest[end:], rest[begin:end]
 
 
 @contextmanager
@@ -307,21 +296,26 @@ def call_service(
             node.destroy_node()
 
 
-def run_node(make: Callable[[], NodeType], ros: Sequence[str] = ()) -> NodeType:
+def run_node(
+    make: Callable[[], NodeType], ros: Sequence[str] = (), options: Sequence[argparse.Namespace] = ()
+) -> NodeType:
     """Start ROS, create the node, spin it, and shut down in order; return it, destroyed, for its results.
 
     `make`: creates the node. Its method `begin`, if any, is called once its parameters are checked: anything that
     reaches a plant starts there. If it has a future `done`, spinning ends once that is done, and its exception, if any,
     is raised; never shut down in a callback, since the next one would find no context. Its method `close`, if any, is
     called while the context is still valid. Its `components`, if any, are further nodes, on the same executor. `ros`:
-    arguments from `--ros-args` on.
+    arguments from `--ros-args` on. `options`: options of the node and of its components, in order.
     """
     with running_ros(ros):
         node = None
         try:
             node = make()
             components: Sequence[Node] = getattr(node, "components", ())
-            refuse_unknown_parameters(node, *components)
+            nodes: list[Node] = [node, *components]
+            for each, given in zip(nodes, options, strict=False):
+                declare_options(each, given)
+            refuse_unknown_parameters(*nodes)
             for component in components:
                 node_executor(node).add_node(component)
             getattr(node, "begin", lambda: None)()

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import argparse
 import hashlib
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import cached_property
 from pathlib import Path
 
+from hydro_bridge.arguments import parse_arguments
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.files import site
 from hydro_core.settings import add_options
@@ -117,11 +119,13 @@ class FilterChoice:
         return loop_filter(metric, learned_bench.load_model(self.files["model"]), self.bench, settings)
 
 
-def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:
-    """Parse the command line into the filter choice, its settings, and the remaining options.
+def parse_args(
+    own: Sequence[str], ros: Sequence[str] = ()
+) -> tuple[FilterChoice, LoopFilterSettings, argparse.Namespace]:
+    """Parse the command line into the filter choice, its settings, and all options.
 
-    Options have the names and meanings of the ROS parameters. Raises PairingError: metric, model and bench do not
-    belong together.
+    `ros`: arguments from `--ros-args` on; options have the names and meanings of the ROS parameters. Raises
+    PairingError: metric, model and bench do not belong together.
     """
     parser = argparse.ArgumentParser(
         prog="filter", description="Contraction filter: /hydro/state to /hydro/correction."
@@ -137,7 +141,7 @@ def parse_args(given: list[str]) -> tuple[FilterChoice, LoopFilterSettings, argp
     names = [field.name for field in fields(LoopFilterSettings)]
     add_options(parser, LoopFilterSettings(), names)
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if permitted")
-    asked = parser.parse_args(given)
+    asked = parse_arguments(parser, "filter", own, ros)
     site.apply_site_option(asked, bench=site.BENCH_FILE, metric=site.METRIC_FILE, model=site.MODEL_FILE)
     choice = FilterChoice.from_files(metric=asked.metric, model=asked.model, bench=asked.bench)
     raise_if_mismatched(choice.pairing_error())

@@ -41,6 +41,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.subscription import Subscription
 
+from hydro_bridge.arguments import ros_arguments
 from hydro_bridge.plant_clock import FILTER_WINDOW
 from hydro_bridge.ros.acknowledgement import SampleAcknowledger
 from hydro_bridge.ros.diagnostics import (
@@ -58,7 +59,7 @@ from hydro_bridge.ros.messages import (
     subscribe,
     subscribe_to_box,
 )
-from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.node import declare_parameters, request_realtime, run_node
 from hydro_bridge.ros.topics import AUTHORITY, CORRECTION, LAW_STATE, STATE, create_publisher, create_subscription
 from hydro_bridge.safety.box_info import BoxDescription
 from hydro_core.cli.console import UserError, command
@@ -413,6 +414,6 @@ class FilterNode(Node):
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    choice, settings, asked = parse_args(own)
+    choice, settings, asked = parse_args(own, ros)
     choice.describe()  # a missing file is refused before ROS starts
-    run_node(lambda: FilterNode(choice, settings, realtime=asked.realtime), ros)
+    run_node(lambda: FilterNode(choice, settings, realtime=asked.realtime), ros, [asked])

@@ -20,8 +20,9 @@ from tempfile import TemporaryDirectory
 
 import yaml
 
+from hydro_bridge.arguments import ros_arguments
 from hydro_bridge.ros.companion import Companion, CompanionError, add_dashboard_option, start_dashboard
-from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, ros_arguments, running_ros
+from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters, running_ros
 from hydro_bridge.safety.readiness import NotReadyError, Requirement
 from hydro_core.cli.console import UserError, bounded_number, command, writable_file, writable_folder
 from hydro_policy.evaluation.controllers import FixedGains

@@ -12,8 +12,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from hydro_bridge.arguments import ros_arguments
 from hydro_bridge.ros.companion import CompanionError
-from hydro_bridge.ros.node import ros_arguments, running_ros
+from hydro_bridge.ros.node import running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import command, make_parser, writable_file, writable_folder
 from hydro_policy.nodes.plant_options import LAWS, add_plant_options, apply_site

@@ -185,7 +185,7 @@ def evaluate_in(run: RunDirectory, options: argparse.Namespace, settings: Evalua
             )  # fmt: skip
             wanted = guard_range(required_gain_range(controllers, grid, box.base_gains))
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="hydro-")))
-            start_plant(stack, node, plant, wanted, folder, page=options.dashboard)
+            start_plant(stack, node, plant, wanted, run.path, folder, page=options.dashboard)
             if options.law == "compensated" and not unfiltered:
                 # the plant's flags tell nothing of the filter under a law that needs none
                 node.requirements.append(corrections_requirement(lambda: node.corrected))

@@ -9,7 +9,8 @@ ros2 run hydro_policy override --kp 60 --ki 10 --of trainer    # only of a node 
 
 from __future__ import annotations
 
-from hydro_bridge.ros.node import call_service, ros_arguments
+from hydro_bridge.arguments import ros_arguments
+from hydro_bridge.ros.node import call_service
 from hydro_bridge.ros.topics import OVERRIDE_SERVICE
 from hydro_core.cli.console import UserError, command, make_parser
 from hydro_msgs.srv import OverrideGains

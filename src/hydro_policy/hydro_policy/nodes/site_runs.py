@@ -27,11 +27,18 @@ from hydro_policy.commissioning.record import GateError, Record
 from hydro_policy.evaluation.controllers import Controller
 from hydro_policy.evaluation.runner import Rest, TrialRunner
 from hydro_policy.evaluation.trial import Comparison
-from hydro_policy.nodes.announcements import CompanionWatch, companion_output, terminal_lines
+from hydro_policy.nodes.announcements import CompanionWatch, terminal_lines
 from hydro_policy.nodes.evaluation import compare_on, report_results, required_gain_range
 from hydro_policy.nodes.graph_node import CleanupStack, GraphNode
 from hydro_policy.nodes.plant_options import NO_FILTER_WORDS, PlantOptions, box_mismatch
-from hydro_policy.nodes.plants import commands, guard_range, recorder_arguments
+from hydro_policy.nodes.plants import (
+    GRAPH_FILE,
+    Graph,
+    guard_range,
+    plant_graph,
+    recorder_parameters,
+    start_nodes,
+)
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run_directory import RunDirectory
 from hydro_policy.supervision.override import GainOverride
@@ -61,7 +68,7 @@ class Site:
         self._emulator: Companion | None = None
         self._running: list[Companion] = []  # emulator and bridge
         self._node: GraphNode | None = None
-        self._serves: list[tuple[str, str, list[str]]] = []  # command line of the bridge
+        self._serves: Graph = {}  # parameters of the bridge with its filter
         self._stack, self._connection = ExitStack(), ExitStack()
 
     def close(self) -> None:
@@ -150,7 +157,7 @@ class Site:
 
     def _disconnect(self) -> None:
         self._connection.close()
-        self._running, self._node, self._serves = [], None, []
+        self._running, self._node, self._serves = [], None, {}
 
     @contextmanager
     def _recorded(
@@ -163,16 +170,14 @@ class Site:
         options = PlantOptions(
             plant="bench", port=self._port, bench=self.bench, filter=tuple(words), policies=tuple(policies)
         )
-        serves = commands(options, gain_range, self.folder)
+        serves = plant_graph(options, gain_range, self.folder)
         if self._node is None or serves != self._serves:
             self.free_port()
             node = GraphNode("commission")
             self._connection.callback(leave_graph, node)
             node.announcer.log = self._log
             self._running = [self._emulator] if self._emulator is not None else []
-            for package, executable, arguments in serves:
-                bridge = Companion(package, executable, arguments, output=companion_output(node.announcer.write_log))
-                self._running.append(self._connection.enter_context(bridge))
+            self._running += start_nodes(self._connection, self.folder / GRAPH_FILE, serves, node.announcer.write_log)
             node.companions = CompanionWatch(self._running)
             kp, ki = self.record.base_gains or (None, None)
             base = None if kp is None or ki is None else (kp, ki)  # not told before the first recording
@@ -186,9 +191,8 @@ class Site:
         node, folder = self._node, self.recording(name)
         shutil.rmtree(folder, ignore_errors=True)
         with CleanupStack() as stack:
-            arguments = ["--realtime", *recorder_arguments(options, folder)]
-            output = companion_output(node.announcer.write_log)
-            recorder = Companion("hydro_bridge", "recorder", arguments, output=output)
+            graph = {**serves, "recorder": recorder_parameters(options, folder)}
+            (recorder,) = start_nodes(stack, self.folder / GRAPH_FILE, graph, node.announcer.write_log, only="recorder")
             stack.callback(recorder.stop, RECORDER_TIMEOUT)
             node.companions = CompanionWatch([*self._running, recorder])
             stack.callback(node.disarm)

@@ -10,8 +10,9 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
+from hydro_bridge.arguments import parameter_words, ros_arguments
 from hydro_bridge.ros.companion import CompanionError
-from hydro_bridge.ros.node import ros_arguments, running_ros
+from hydro_bridge.ros.node import running_ros
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.cli.console import command, explicit_options, make_parser
 from hydro_policy.nodes.plant_options import SCRATCH, add_plant_options, apply_site, restore_options
@@ -93,7 +94,7 @@ def parse_options(words: Sequence[str]) -> argparse.Namespace:
 def main() -> int:
     """Entry point."""
     own, ros = ros_arguments()
-    options = parse_options(own)
+    options = parse_options([*parameter_words(parser(), "trainer", ros), *own])
     options.configuration = options.configuration or "paper"
     from hydro_policy.nodes.training import train  # with numba, which takes a second: not for --help or a slip
 

@@ -11,7 +11,7 @@ from dataclasses import replace
 from datetime import datetime
 from functools import partial
 
-from hydro_bridge.ros.node import leave_graph, refuse_unknown_parameters
+from hydro_bridge.ros.node import declare_options, leave_graph, refuse_unknown_parameters
 from hydro_bridge.safety.readiness import Readiness
 from hydro_core.bench_scales import rescale
 from hydro_core.cli.console import UserError, writable_folder
@@ -91,6 +91,7 @@ def prepare(
     if options.exam_every is not None:
         settings = replace(settings, exam=replace(settings.exam, every=options.exam_every))
     settings = declare_settings(node, settings)
+    declare_options(node, options)
     refuse_unknown_parameters(node)
     if options.plant == "external":
         if not node.wait_for_plant() or node.box is None:
@@ -179,7 +180,9 @@ def train(options: argparse.Namespace) -> int:
         )  # fmt: skip
         real_time = options.plant == "external" or plant.real_time
         learner = LearnerSupervisor(settings, run, checkpoint, start.agent if start else None, real_time=real_time)
-        if uncovered := start_plant(stack, node, plant, settings.task.gains, run.path, page=options.dashboard):
+        if uncovered := start_plant(
+            stack, node, plant, settings.task.gains, run.path, run.path, page=options.dashboard
+        ):
             record.add("uncovered", uncovered)
         state = (checkpoint.trainer or None) if checkpoint else None
         best = (run.best / AGENT_FILE).read_bytes() if checkpoint and (run.best / AGENT_FILE).is_file() else None

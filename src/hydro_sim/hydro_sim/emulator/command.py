@@ -9,6 +9,7 @@ import time
 from pathlib import Path
 from typing import get_args
 
+from hydro_bridge.arguments import parse_arguments, ros_arguments
 from hydro_bridge.plant_clock import parse_pace
 from hydro_core.cli.console import bounded_number, command, writable_folder
 from hydro_core.process import termination
@@ -29,7 +30,7 @@ from hydro_sim.model.bench import Bench
 @command(ValueError, OSError)
 def main() -> None:
     """Entry point."""
-    options = _parser().parse_args()
+    options = parse_arguments(_parser(), "emulator", *ros_arguments())
     if options.offline:
         _record(options)
     else:

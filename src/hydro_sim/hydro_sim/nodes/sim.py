@@ -13,10 +13,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import fields
 from typing import Any
 
+from hydro_bridge.arguments import parse_arguments, ros_arguments
 from hydro_bridge.nodes.plant_node import Corrector, PlantNode, arming_state
 from hydro_bridge.plant_clock import LockStep, LockStepSettings
 from hydro_bridge.ros.diagnostics import Status
-from hydro_bridge.ros.node import declare_parameters, request_realtime, ros_arguments, run_node
+from hydro_bridge.ros.node import declare_parameters, request_realtime, run_node
 from hydro_bridge.safety.box_info import describe_box
 from hydro_bridge.safety.guard import CommandGuard, GuardSettings
 from hydro_core.cli.console import command
@@ -98,8 +99,10 @@ class SimNode(PlantNode):
         self.publish_sample(*sample)
 
 
-def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
-    """Parse the command line into the settings and whether to request real-time scheduling."""
+def plant_factory(
+    own: Sequence[str], ros: Sequence[str]
+) -> tuple[Callable[[Corrector | None], SimNode], argparse.Namespace]:
+    """Return a factory of the node, which takes the filter in this process or None, and its options."""
     parser = argparse.ArgumentParser(
         prog="sim",
         description="The simulated bench in place of emulator and bridge: same topics, types, rates and rules.",
@@ -109,22 +112,17 @@ def parse_args(own: Sequence[str]) -> tuple[SimSettings, bool]:
     add_options(parser, SimSettings(), names)
     site.add_site_option(parser, "--bench and --model")
     parser.add_argument("--realtime", action="store_true", help="run by SCHED_FIFO, if this user may")
-    asked = parser.parse_args(own)
+    asked = parse_arguments(parser, "sim", own, ros)
     site.apply_site_option(asked, bench=site.BENCH_FILE, model=site.MODEL_FILE)
     given: dict[str, Any] = {name: getattr(asked, name) for name in names}
     given |= {name: str(given[name]) for name in ("model", "bench")}  # a Path by --site
-    return SimSettings(**given), asked.realtime
-
-
-def plant_factory(own: Sequence[str]) -> Callable[[Corrector | None], SimNode]:
-    """Return a factory of the node for this command line; it takes the filter in this process, or None."""
-    settings, realtime = parse_args(own)
-    return lambda corrector: SimNode(settings, corrector, realtime=realtime)
+    settings = SimSettings(**given)
+    return lambda corrector: SimNode(settings, corrector, realtime=asked.realtime), asked
 
 
 @command(ValueError)
 def main() -> None:
     """Entry point."""
     own, ros = ros_arguments()
-    make = plant_factory(own)
-    run_node(lambda: make(None), ros)
+    make, options = plant_factory(own, ros)
+    run_node(lambda: make(None), ros, [options])
