@@ -108,7 +108,7 @@ def test_a_killed_estimator_leaves_neutral_coefficients_without_a_jump(
         probe.wait(lambda: probe.heard[STATE], 120.0)
         estimating = start("hydro_policy evaluate", *words, "--name", "run")
         probe.wait(lambda: heard and heard[-1].a_1 > 0.01, 150.0)
-        probe.spin(1.0)  # at the end of the fade into the sine f_c jumps with the second and third derivative of f_r
+        probe.spin(0.5)
         os.kill(estimating.process.pid, signal.SIGKILL)
         begun = len(heard)
         probe.spin(2.5)

@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The force to track: waveforms with exact derivatives, and a cross-fade of 0.3 s between them. */
+/* The force to track: waveforms with exact derivatives, and a cross-fade of 0.3 s, C^3, between them. */
 #ifndef HYDRO_REFERENCE_H
 #define HYDRO_REFERENCE_H
 
@@ -120,7 +120,7 @@ static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time ti
 {
     hydro_wave wave, old;
     hydro_time part;
-    hydro_real share, blend, blend_1, blend_2, blend_3, gap, gap_rate, gap_second;
+    hydro_real share, left, product, blend, blend_1, blend_2, blend_3, blend_4, gap, gap_rate, gap_second;
     if (time - reference->fade_start >= HYDRO_FADE && !hydro_same(&reference->wanted, &reference->coming)) {
         reference->leaving = reference->coming;
         hydro_take_up(reference, time);
@@ -132,16 +132,23 @@ static inline hydro_wave hydro_advance(hydro_reference *reference, hydro_time ti
     }
     share = (hydro_real)part;
     old = hydro_play(&reference->leaving, time);
-    blend = share * share * (HYDRO_R(3) - HYDRO_R(2) * share);
-    blend_1 = HYDRO_R(6) * share * (HYDRO_R(1) - share) / HYDRO_R(HYDRO_FADE);
-    blend_2 = (HYDRO_R(6) - HYDRO_R(12) * share) / HYDRO_R(HYDRO_FADE * HYDRO_FADE);
-    blend_3 = HYDRO_R(-12) / HYDRO_R(HYDRO_FADE * HYDRO_FADE * HYDRO_FADE);
+    left = HYDRO_R(1) - share;
+    product = share * left;
+    blend = HYDRO_R(1) /* as share^4 (35 - 84 share + ...), and as good in single precision at its end */
+            - left * left * left * left
+                  * (HYDRO_R(1) + share * (HYDRO_R(4) + share * (HYDRO_R(10) + HYDRO_R(20) * share)));
+    blend_1 = HYDRO_R(140) * product * product * product / HYDRO_R(HYDRO_FADE);
+    blend_2 = HYDRO_R(420) * product * product * (left - share) / HYDRO_R(HYDRO_FADE * HYDRO_FADE);
+    blend_3 = HYDRO_R(840) * product * (HYDRO_R(1) - HYDRO_R(5) * product)
+              / HYDRO_R(HYDRO_FADE * HYDRO_FADE * HYDRO_FADE);
+    blend_4 = HYDRO_R(840) * (left - share) * (HYDRO_R(1) - HYDRO_R(10) * product)
+              / HYDRO_R(HYDRO_FADE * HYDRO_FADE * HYDRO_FADE * HYDRO_FADE);
     gap = wave.value - old.value;
     gap_rate = wave.rate - old.rate;
     gap_second = wave.second - old.second;
     wave.fourth = (HYDRO_R(1) - blend) * old.fourth + blend * wave.fourth
                   + (HYDRO_R(4) * blend_1 * (wave.third - old.third) + HYDRO_R(6) * blend_2 * gap_second
-                     + HYDRO_R(4) * blend_3 * gap_rate);
+                     + HYDRO_R(4) * blend_3 * gap_rate + blend_4 * gap);
     wave.third = (HYDRO_R(1) - blend) * old.third + blend * wave.third
                  + (HYDRO_R(3) * blend_1 * gap_second + HYDRO_R(3) * blend_2 * gap_rate + blend_3 * gap);
     wave.second =

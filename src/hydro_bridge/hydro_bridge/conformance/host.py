@@ -35,7 +35,7 @@ COUNTS = ("refused", "refused_references")
 ENDS = [(*ends, *[FADE_TIME] * 99) for ends in product((FADE_TIME - 1e-6, FADE_TIME + 1e-6), repeat=3)]
 """Ends of the fades from arming on [s]: each is the 300th or the 301st sample of its fade."""
 _RATIOS = np.sqrt([1.0, 3.0, 7.0, 13.0])
-_FADE = Polynomial([0.0, 0.0, 3.0, -2.0])
+_FADE = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 LATENCY = 50
 """Samples that a line may take."""
 SILENCE = 3.0

@@ -4,11 +4,11 @@
 A box plays one waveform at a time and cross-fades to the next over `FADE_TIME` (protocol.md). So a record is sent as
 sines with an offset, one per `FADE_TIME`, s_k at t_k = k `FADE_TIME`::
 
-    f_r(t) = (1 - b) s_{k-1}(t) + b s_k(t)        b = 3 p^2 - 2 p^3,  p = (t - t_k) / FADE_TIME
+    f_r(t) = (1 - b) s_{k-1}(t) + b s_k(t)        b = p^4 (35 - 84 p + 70 p^2 - 20 p^3),  p = (t - t_k) / FADE_TIME
 
 s_k is a least-squares fit over its two cross-fades, with s_{k-1} given; its frequency is the best of
 `SINE_FREQUENCIES`. Four parameters per 0.3 s represent a record up to about 3 Hz, so it is low-passed there; the
-residual is then 7 to 8 % of its RMS on the three ground motions of `benchmarks.hybrid_simulation`.
+residual is then 7 to 9 % of its RMS on the three ground motions of `benchmarks.hybrid_simulation`.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def segments(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     part = smooth[first : first + length]
     record = amplitude / float(np.abs(part).max()) * part
     since, fade = SAMPLE_PERIOD * np.arange(2 * SEGMENT_SAMPLES), np.arange(SEGMENT_SAMPLES) / SEGMENT_SAMPLES
-    rising = fade**2 * (3.0 - 2.0 * fade)
+    rising = fade**4 * (35.0 - 84.0 * fade + 70.0 * fade**2 - 20.0 * fade**3)
     weight = np.concatenate((rising, 1.0 - rising))
     angles = 2.0 * np.pi * np.outer(SINE_FREQUENCIES, since)
     bases = np.stack((np.ones_like(angles), np.sin(angles), np.cos(angles)), axis=-1)

@@ -62,7 +62,7 @@ class BoxConfig:
     ] = NOMINAL.force * 7.0 / 3.0
     recovery_margin: Annotated[
         float, quantity("N", 0.0, 1e8, "Rise allowed at arming to a force beyond its limit (noise, oil's swing)")
-    ] = NOMINAL.force / 15.0
+    ] = NOMINAL.force / 8.0
     hold_timeout: Annotated[
         float, quantity("s", 0.002, 1.0, "Without a command, after which base gains and no correction hold")
     ] = 0.05
