@@ -156,7 +156,7 @@ def _played(case: Case, settings: EvaluationSettings) -> FloatArray:
     if not case.segments:
         return reference_force(case.signal, np.arange(settings.settle, settings.duration(case), SAMPLE_PERIOD))[0]
     fade = SAMPLE_PERIOD * np.arange(recorded.SEGMENT_SAMPLES)
-    rising = 3.0 * (fade / FADE_TIME) ** 2 - 2.0 * (fade / FADE_TIME) ** 3
+    rising = recorded.BLEND(fade / FADE_TIME)
     parts, leaving = [], np.zeros(len(fade))
     for signal in (case.signal, *case.segments):
         parts.append(leaving + rising * (reference_force(signal, fade)[0] - leaving))

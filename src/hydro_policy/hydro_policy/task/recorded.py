@@ -18,6 +18,7 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from numpy.polynomial import Polynomial
 
 from hydro_core.settings import SettingsError
 from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, FloatArray, ReferenceSignal, Waveform
@@ -26,6 +27,7 @@ DURATION_MAX = 20.0  # longest part of a record that is played [s]: the one with
 LOW_PASS_BANDWIDTH = 3.0  # cut-off frequency [Hz] of the low-pass, second order forwards and backwards
 SINE_FREQUENCIES = np.arange(0.5, 10.01, 0.25)  # candidate frequencies of a sine [Hz]
 SEGMENT_SAMPLES = round(FADE_TIME / SAMPLE_PERIOD)  # samples from one segment to the next
+BLEND = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])  # b of p
 
 
 def read(path: Path) -> tuple[FloatArray, FloatArray]:
@@ -77,8 +79,7 @@ def segments(path: Path, amplitude: float) -> tuple[ReferenceSignal, ...]:
     first = int(np.argmax(energy[length:] - energy[: len(energy) - length]))
     part = smooth[first : first + length]
     record = amplitude / float(np.abs(part).max()) * part
-    since, fade = SAMPLE_PERIOD * np.arange(2 * SEGMENT_SAMPLES), np.arange(SEGMENT_SAMPLES) / SEGMENT_SAMPLES
-    rising = fade**4 * (35.0 - 84.0 * fade + 70.0 * fade**2 - 20.0 * fade**3)
+    since, rising = SAMPLE_PERIOD * np.arange(2 * SEGMENT_SAMPLES), BLEND(np.arange(SEGMENT_SAMPLES) / SEGMENT_SAMPLES)
     weight = np.concatenate((rising, 1.0 - rising))
     angles = 2.0 * np.pi * np.outer(SINE_FREQUENCIES, since)
     bases = np.stack((np.ones_like(angles), np.sin(angles), np.cos(angles)), axis=-1)
