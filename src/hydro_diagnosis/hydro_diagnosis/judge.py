@@ -4,7 +4,8 @@
 A claim is retained if its interval excludes its absence, if it is physically possible, and if it does not increase the
 held-out errors. Where the names leave more than noise, those that act there may only mimic what is missing: they are
 retained if together they account for nearly all of it, and each removes more than what remains. The remaining share is
-reported.
+reported. Viscous friction is not retained where the pressures are not explained: hoses between taps and chambers drop
+as much.
 
 `accounted` of an equation is 1 - (rms of the residual) / (rms of what the bench file misses) on held-out recordings,
 the noise subtracted from both.
@@ -18,7 +19,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hydro_diagnosis.effects.base import EffectHypothesis
+from hydro_diagnosis.effects.base import BLOCKS, PRESSURE, EffectHypothesis
 from hydro_diagnosis.estimation.fit import Fit, by_claim, fit, remove_claim
 from hydro_diagnosis.estimation.intervals import Interval, intervals, stands, without_insignificant
 from hydro_diagnosis.selection.localisation import FreeForm, MismatchLocation, free_forms, locate, locate_claims
@@ -74,10 +75,30 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, baseline_fit: 
         if len(named) < len(found.claims):
             remains = problem.has_excess(found.residual) or any(not one.effect.named for one in found.claims)
             found = fit(problem, named, iterations=0 if remains else ITERATIONS)
-        elif worst := unsupported(problem, holdout, found, bounds):
+        elif worst := unsupported(problem, holdout, found, bounds) or _drop_of_hoses(problem, found):
             found = fit(problem, found.claims_without(worst))
         if len(found.claims) == count:
             return found, bounds
+
+
+def _drop_of_hoses(problem: Problem, found: Fit) -> EffectHypothesis | None:
+    """Return the viscous friction of a fit whose names explain less than half of what both pressures miss; else None.
+
+    Hoses between the pressures' taps and the chambers take as large a force, in proportion to the same velocity.
+    """
+    friction = next((claim for claim in found.cause_claims if claim.effect.id == "friction_viscous"), None)
+    named = [claim for claim in found.claims if claim.effect.named]
+    if friction is None or PRESSURE not in problem.blocks:
+        return None
+    before, after = (
+        problem.mean_squares(problem.residual(some))
+        for some in ([claim for claim in found.claims if claim.effect.estimated], named)
+    )
+    excess = problem.noise_thresholds
+    unexplained = (
+        after[name] > excess[name] and 2.0 * (after[name] - 1.0) > before[name] - 1.0 for name in BLOCKS[PRESSURE]
+    )
+    return friction if all(unexplained) else None
 
 
 def _main_channel(problem: Problem, found: Fit, claim: EffectHypothesis) -> str:
@@ -125,16 +146,20 @@ def unsupported(problem: Problem, holdout: Problem, found: Fit, bounds: Sequence
 def supported_names(problem: Problem, holdout: Problem, found: Fit, base: Fit) -> tuple[Fit, list[Interval]]:
     """Return the fit with those of its names that `base` has not only if they stand; and the intervals of its claims.
 
-    As of `retain_claims`: such a name's interval excludes its absence, and the held-out recordings support it.
+    As of `retain_claims`: such a name's interval excludes its absence, the held-out recordings support it, and leave no
+    more than noise where it acts.
     """
     known = {claim.effect.label for claim in base.claims}
     while True:
         bounds = intervals(problem, found)
         shown = by_claim(found.claims, bounds)
-        harmful = unsupported(problem, holdout, found, bounds)
+        harmful = unsupported(problem, holdout, found, bounds), _drop_of_hoses(problem, found)
+        unseen = holdout.reweighted(found.claims)
+        noisy = unseen.excess_channels(unseen.residual(found.claims))
         refused = [
             claim for claim, own in shown
-            if claim.effect.named and claim.effect.label not in known and (claim is harmful or not stands(claim, own))
+            if claim.effect.named and claim.effect.label not in known
+            and (claim in harmful or not stands(claim, own) or _main_channel(problem, found, claim) in noisy)
         ]  # fmt: skip
         if not refused:
             return found, bounds
