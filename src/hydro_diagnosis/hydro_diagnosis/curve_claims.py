@@ -24,6 +24,7 @@ from hydro_diagnosis.shapes import (
     fit_shape,
     is_unidirectional,
     missing_indication,
+    spans_speeds,
     stribeck_velocity_interval,
 )
 from hydro_diagnosis.significance import PRACTICAL_SHARE, QUANTILE
@@ -215,6 +216,9 @@ def _rivals(curve: ForceCurve) -> list[Rival]:
     if is_unidirectional(curve):
         why = "a constant force explains these recordings as well as dry friction: all motion is one way"
         found.append(Rival(id="force_offset", delta_bic=0.0, distinguishable=False, why=why))
+    if not spans_speeds(curve):
+        why = "viscous friction explains these recordings as well as dry friction: hardly more than one speed is held"
+        found.append(Rival(id="friction_viscous", delta_bic=0.0, distinguishable=False, why=why))
     for terms in curve.rivals:
         for name, label in (
             ("mass", MOVING_MASS),

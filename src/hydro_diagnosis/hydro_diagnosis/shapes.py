@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 
 STRIBECK_VELOCITY_RATIOS = (0.05, 0.1, 0.2, 0.4, 0.6)
 """Candidate Stribeck velocities, over the top speed."""
+SLOPE_SPEED_RATIO = 1.4
+"""Ratio of speeds from which friction that follows the speed is told from dry friction: two knots of the curve."""
 PROFILE_FACTORS = np.geomspace(0.25, 4.0, 33)
 """Factors of a parameter's estimate at which its profile is evaluated for an interval."""
 MIN_OPPOSING_SHARE = 0.9
@@ -227,6 +229,8 @@ def curve_shape(curve: ForceCurve, viscous: float, allowed: frozenset[str]) -> F
         return None
     if is_unidirectional(curve):
         allowed = allowed - {"constant"}  # not distinguishable from dry friction
+    if not spans_speeds(curve):
+        allowed = allowed - {"viscous", "stribeck"}  # neither are these
     found = simplest_shape(curve.points, curve.top_speed, viscous, allowed)
     return drop_uncertain(curve.points, found, curve.top_speed)
 
@@ -235,6 +239,13 @@ def is_unidirectional(curve: ForceCurve) -> bool:
     """Return whether all points are of one direction: dry friction cannot be told from a constant force."""
     speeds = [one.velocity for one in curve.points]
     return min(speeds) > 0.0 or max(speeds) < 0.0
+
+
+def spans_speeds(curve: ForceCurve) -> bool:
+    """Return whether speeds held in one direction differ by `SLOPE_SPEED_RATIO`, so that a slope can be told."""
+    speeds = np.array([one.velocity for one in curve.points])
+    sides = [np.abs(speeds[speeds * side > 0.0]) for side in (1.0, -1.0)]
+    return any(len(one) > 1 and float(one.max()) >= SLOPE_SPEED_RATIO * float(one.min()) for one in sides)
 
 
 def stribeck_velocity_interval(points: Sequence[Point], found: FittedShape, top: float) -> tuple[float, float]:

@@ -195,6 +195,23 @@ def test_one_way_only_what_follows_the_speed_is_named(viscous: float, names: lis
     assert (found and found.shape.names) == names
 
 
+@pytest.mark.parametrize(("speeds", "slope"), [((0.02,), False), ((0.02, 0.06), True)])
+def test_a_slope_over_the_speed_is_named_only_where_more_than_one_is_held(
+    speeds: tuple[float, ...], slope: bool
+) -> None:
+    """Strokes at constant speeds under viscous friction, which at one speed each way is dry friction as well."""
+
+    def stroke(speed: float, seed: int) -> RawTable:
+        time, rng = STEP * np.arange(40000.0), np.random.default_rng(seed)
+        position = 0.05 + 0.02 * (2.0 * np.abs(2.0 * (time * speed / 0.08 % 1.0) - 1.0) - 1.0)
+        force = 500.0 * np.gradient(position, STEP) + 0.05 * rng.standard_normal(len(time))
+        return RawTable(f"{seed}", time, None, {"piston_position": position, "hydraulic_force": force})
+
+    found = shape_of(ForceCurve.over_speed(in_motion(*(stroke(speed, k) for k, speed in enumerate(speeds)))))
+    assert found.shape.names == (["viscous"] if slope else ["dry"])
+    assert found.values[0] == pytest.approx(500.0 if slope else 10.0, rel=0.1)
+
+
 def test_what_is_pushed_at_rest_is_no_friction() -> None:
     table = strokes(rubbing(10.0))
     force, moved = table.columns["hydraulic_force"], np.gradient(table.columns["piston_position"])
