@@ -62,7 +62,7 @@ def _ratio(low: float, high: float) -> Size:
     return Size(low, high, neutral=1.0, signs=(-1, 1))
 
 
-_CHAMBER, _CELL = pick("a", "b"), pick("hydraulic_force", "load_force")
+_CHAMBER, _CELL, _EDGE = pick("a", "b"), pick("hydraulic_force", "load_force"), pick("pa", "at", "pb", "bt")
 SINGLES: dict[str, dict[str, Any]] = {
     "friction_coulomb": {"force": Size(2.0, 20.0)},
     "friction_coulomb/directional": {"force_positive": Size(6.0, 15.0), "force_negative": Size(2.0, 5.0)},
@@ -72,6 +72,8 @@ SINGLES: dict[str, dict[str, Any]] = {
     "leakage_external": {"coefficient": Size(1e-14, 1e-13), "chamber": _CHAMBER},
     "valve_deadband": {"half_width": Size(5e-5, 1e-3)},
     "valve_underlap": {"half_width": Size(3e-5, 6e-4)},
+    "valve_edge": {"overlap": _signed(5e-5, 6e-4), "edge": _EDGE},
+    "valve_edge/share": {"ratio": Size(0.05, 0.4, neutral=1.0, signs=(-1,)), "edge": _EDGE},
     "valve_lag": {"bandwidth": shape(60.0, 180.0), "damping": shape(0.6, 1.0)},
     "transport_delay": {"time": Size(3e-4, 1.5e-3, step=25e-6)},  # the emulator's own step
     "valve_offset": {"current": _signed(3e-5, 5e-4)},

@@ -22,8 +22,8 @@ from benchmarks.prove.cases import Case
 from hydro_core.cli.console import Table
 
 Name = tuple[str, str]
-"""Id, and the chamber, cell or sensor if it has one."""
-PLACES = ("chamber", "cell", "sensor")
+"""Id, and the chamber, cell, sensor or edge if it has one."""
+PLACES = ("chamber", "cell", "sensor", "edge")
 _CONSTANT = (("force_offset", ""), ("spring_rest", ""), ("load_cell_bias", "load_force"))
 _BAND, _NULL = ("valve_deadband", ""), ("valve_offset", "")
 
@@ -52,8 +52,8 @@ _IDS = {
     "sensor": ("load_cell_gain", "load_cell_bias", "pressure_sensor_bias", "sensor_lag", "cell_crosstalk"),
     "actuation": ("valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain",
                   "valve_gain_asymmetry", "valve_null_leakage", "valve_gain_drift", "supply_droop", "return_line",
-                  "supply_pressure",
-                  "tank_pressure", "valve_underlap", "valve_temperature", "supply_ripple"),
+                  "supply_pressure", "tank_pressure", "valve_underlap", "valve_edge",
+                  "valve_temperature", "supply_ripple"),
     "pressure_a": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
                    "dead_volume", "wall_flexibility"),
     "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",

@@ -196,6 +196,19 @@ def test_underlap_halves_the_supply_at_null_and_doubles_the_gain(bench: Bench) -
     np.testing.assert_allclose(y[:2] - before, 1e-3 * flow * np.array([stiff[0], -stiff[1]]), rtol=1e-2)
 
 
+def test_an_edge_of_its_own_sets_the_pressure_of_its_chamber_at_null(bench: Bench) -> None:
+    """Two orifices in series: w sqrt(p_s - p) = r (w - o) sqrt(p), with the tank's edge of share r and overlap o."""
+    width, share, overlap = 2e-3, 0.7, 5e-4
+    late = effect("valve_edge edge=at", overlap=overlap, ratio=1.0)
+    edges = late, effect("valve_edge edge=bt", overlap=0.0, ratio=share)
+    held = replace(bench, moving_mass=1e7, effects=(effect("valve_underlap", half_width=width), *edges))
+    model = BenchModel(held)
+    k, y, _ = model.begin(model.values)
+    model.rollout(k, y, np.zeros(2000))
+    expected = [bench.supply_pressure / (1.0 + one * one) for one in (1.0 - overlap / width, share)]
+    np.testing.assert_allclose(y[:2], expected, rtol=3e-3)
+
+
 def test_return_line_settles_where_its_drop_is_that_of_what_bleeds(bench: Bench) -> None:
     """All four edges open by w: q_t = 2 K w sqrt((p_s - p_r) / 2) and p_r = R q_t, a quadratic equation."""
     width, resistance = 2e-3, 2e11

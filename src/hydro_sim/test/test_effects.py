@@ -36,6 +36,8 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("valve_lag", {"bandwidth": 60.0, "damping": 0.9}, {}),
     ("valve_deadband", {"half_width": 1e-4}, {}),
     ("valve_underlap", {"half_width": 2e-4}, {}),
+    ("valve_edge", {"overlap": 2e-4, "ratio": 0.8}, {"edge": "at"}),
+    ("valve_edge", {"overlap": 0.0, "ratio": 0.7}, {"edge": "bt"}),
     ("valve_gain", {"ratio": 0.85}, {}),
     ("leakage_internal", {"coefficient": 3e-13}, {}),
     ("leakage_external", {"coefficient": 3e-13}, {"chamber": "a"}),

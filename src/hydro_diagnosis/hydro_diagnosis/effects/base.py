@@ -237,6 +237,11 @@ class Effect:
         """Width [A] by which all four edges are open at null."""
         return float(self._bound(values).underlap(width))
 
+    def land(self, width: float, values: ParameterValues) -> tuple[float, float]:
+        """Width [A] by which its edge is open at null, from that of all, and its share of the flow [-]."""
+        own, share = self._bound(values).land(width)
+        return float(own), float(share)
+
     def openings(self, edges: Pair, spool: FloatArray, time: FloatArray, values: ParameterValues) -> Pair:
         """Conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
 

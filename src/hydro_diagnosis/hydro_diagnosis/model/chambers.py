@@ -32,15 +32,16 @@ from hydro_sim.model.compiled_equations import equations as compiled
 
 
 @njit
-def edge_flows(into_a, into_b, opened, closing, p_a, p_b, supply, tank):
+def edge_flows(into_a, into_b, edges, p_a, p_b, supply, tank):
     """Write the flows [m3/s] through the edges into both chambers; all arguments have shape (n,).
 
-    `opened`, `closing`: conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and of those that retract it.
+    `edges`: conductances [m3/s/sqrt(Pa)] of the four edges (`equations.EDGES`).
     """
+    pa, at, pb, bt = edges
     for k in range(len(p_a)):
         out, back = compiled.edge_drops(supply[k], tank[k], p_a[k], p_b[k])
-        into_a[k] = opened[k] * compiled.signed_root(out[0]) - closing[k] * compiled.signed_root(back[0])
-        into_b[k] = closing[k] * compiled.signed_root(back[1]) - opened[k] * compiled.signed_root(out[1])
+        into_a[k] = pa[k] * compiled.signed_root(out[0]) - at[k] * compiled.signed_root(back[0])
+        into_b[k] = pb[k] * compiled.signed_root(back[1]) - bt[k] * compiled.signed_root(out[1])
 
 
 @njit
@@ -120,20 +121,30 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesi
     """Return the flows [m3/s] into chambers A and B under claims, leakage included."""
     p_a, p_b = oil.pressures
     flows = np.empty_like(p_a), np.empty_like(p_b)
-    if claims_acting_in(claims, "underlap", "openings", "supply", "tank"):
-        gain, width = bench.valve_gain, 0.0
+    if claims_acting_in(claims, "underlap", "land", "openings", "supply", "tank"):
+        all_wide = 0.0
+
+        def openings(width: float) -> Pair:
+            gain = bench.valve_gain
+            edges: Pair = (np.maximum(width + oil.spool, 0.0) * gain, np.maximum(width - oil.spool, 0.0) * gain)
+            for claim in claims_acting_in(claims, "openings"):
+                edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
+            return substep_mean(edges[0]), substep_mean(edges[1])
+
         for claim in claims_acting_in(claims, "underlap"):
-            width = claim.effect.underlap(width, claim.values)
-        edges: Pair = (np.maximum(width + oil.spool, 0.0) * gain, np.maximum(width - oil.spool, 0.0) * gain)
-        for claim in claims_acting_in(claims, "openings"):
-            edges = claim.effect.openings(edges, oil.spool, oil.time, claim.values)
-        out, back = (substep_mean(one) for one in edges)
+            all_wide = claim.effect.underlap(all_wide, claim.values)
+        out, back = openings(all_wide)
+        edges = [out, back, back, out]
+        for claim in claims_acting_in(claims, "land"):
+            (width, share), k = claim.effect.land(all_wide, claim.values), eq.EDGES.index(claim.effect.physics.edge)
+            edges[k] = share * openings(width)[eq.OPENS_BACK[k]]
+        pa, at, pb, bt = edges
         supply, tank = np.full_like(p_a, bench.supply_pressure), np.full_like(p_a, bench.tank_pressure)
         for claim in claims_acting_in(claims, "supply"):
-            supply = claim.effect.supply(supply, (out, p_a, back, p_b), memory, claim.values)
+            supply = claim.effect.supply(supply, (pa, p_a, pb, p_b), memory, claim.values)
         for claim in claims_acting_in(claims, "tank"):
-            tank = claim.effect.tank(tank, (out, p_b, back, p_a), memory, claim.values)
-        edge_flows(*flows, out, back, p_a, p_b, supply, tank)
+            tank = claim.effect.tank(tank, (bt, p_b, at, p_a), memory, claim.values)
+        edge_flows(*flows, (pa, at, pb, bt), p_a, p_b, supply, tank)
     else:
         nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, bench.tank_pressure)
     for claim in claims_acting_in(claims, "leaks"):

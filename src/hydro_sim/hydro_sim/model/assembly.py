@@ -194,14 +194,24 @@ class Assembly:
         return mean / width
 
     def _edges(self, spool: Symbol) -> rates.EdgeConductances:
-        """Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and back, at the spool's position [A]."""
-        gain, width = self.bench.valve_gain, 0.0
+        """Conductances [m3/s/sqrt(Pa)] of the four edges (`equations.EDGES`) at the spool's position [A]."""
+        gain, all_wide = self.bench.valve_gain, 0.0
+
+        def openings(width: Symbol) -> tuple[Symbol, Symbol]:
+            out, back = gain * np.fmax(width + spool, 0.0), gain * np.fmax(width - spool, 0.0)
+            for effect in self.effects:
+                out, back = effect.openings(out, back, spool)
+            return out, back
+
         for effect in self.effects:
-            width = effect.underlap(width)
-        out, back = gain * np.fmax(width + spool, 0.0), gain * np.fmax(width - spool, 0.0)
+            all_wide = effect.underlap(all_wide)
+        out, back = openings(all_wide)
+        edges = [out, back, back, out]
         for effect in self.effects:
-            out, back = effect.openings(out, back, spool)
-        return out, back
+            if effect.edge:
+                (width, share), k = effect.land(all_wide), eq.EDGES.index(effect.edge)
+                edges[k] = share * openings(width)[eq.OPENS_BACK[k]]
+        return edges[0], edges[1], edges[2], edges[3]
 
     def _truth(self, y: Any) -> dict[str, Symbol]:
         values = eq.hydraulic_force(self.bench, y[0], y[1]), y[4], y[0], y[1], y[2]
@@ -211,7 +221,7 @@ class Assembly:
         """x'' [m/s2] in a state, if an effect shows it: that of the forces, which the valve does not change at once."""
         if not any(effect.depends_on_acceleration for effect in self.effects):
             return 0.0
-        return rates.textbook_rates(self.at, self.effects, casadi.vertsplit(y)[:6], (0.0, 0.0), self.sliding)[0][3]
+        return rates.textbook_rates(self.at, self.effects, casadi.vertsplit(y)[:6], (0.0,) * 4, self.sliding)[0][3]
 
     def _cell_force(self, y: Sequence[Symbol]) -> Symbol:
         """f_l [N] on an ideal load cell: the load's force in this state, and no state of its own."""

@@ -38,6 +38,12 @@ STOP_DAMPING = 4e3
 """Damping [N s/m] of the end stops while pressed, about critical: the piston does not bounce."""
 
 
+EDGES = ("pa", "at", "pb", "bt")
+"""Edges of the valve, from port to port: supply to A, A to tank, supply to B, B to tank."""
+OPENS_BACK = (False, True, True, False)
+"""Whether each of `EDGES` opens where the piston is driven back."""
+
+
 def choose(condition: Symbol, first: Symbol, second: Symbol) -> Symbol:
     """`first` where the condition holds, else `second`; the derivative is that of the chosen one."""
     if not any(hasattr(value, "is_scalar") for value in (condition, first, second)):

@@ -17,8 +17,8 @@ from hydro_sim.model import equations as eq
 from hydro_sim.model.effects.base import Effect, EffectContext
 from hydro_sim.model.equations import Symbol, choose
 
-EdgeConductances = tuple[Symbol, Symbol]
-"""Conductance [m3/s/sqrt(Pa)] of the edges that drive the piston out, and of those that drive it back."""
+EdgeConductances = tuple[Symbol, Symbol, Symbol, Symbol]
+"""Conductances [m3/s/sqrt(Pa)] of the four edges (`equations.EDGES`)."""
 
 
 def dry_level(effects: Sequence[Effect], velocity: Symbol) -> Symbol:
@@ -57,16 +57,16 @@ def textbook_rates(
     n, (p_a, p_b, position, velocity, shown, shown_rate) = at.bench, y[:6]
     at.position, at.velocity, at.pressures, at.load_force = position, velocity, (p_a, p_b), shown
     # the valve
-    (out, back), supply, tank = edges, n.supply_pressure, n.tank_pressure
+    (edge_pa, edge_at, edge_pb, edge_bt), supply, tank = edges, n.supply_pressure, n.tank_pressure
     for effect in effects:
         supply, tank = effect.supply(supply), effect.tank(tank)
     drops_out, drops_back = eq.edge_drops(supply, tank, p_a, p_b)
     if any(effect.all_edges for effect in effects):
-        drawn_a, drawn_b = eq.orifice(out, drops_out[0]), eq.orifice(back, drops_back[1])
-        into_a, into_b = drawn_a - eq.orifice(back, drops_back[0]), drawn_b - eq.orifice(out, drops_out[1])
+        drawn_a, drawn_b = eq.orifice(edge_pa, drops_out[0]), eq.orifice(edge_pb, drops_back[1])
+        into_a, into_b = drawn_a - eq.orifice(edge_at, drops_back[0]), drawn_b - eq.orifice(edge_bt, drops_out[1])
         drawn = drawn_a + drawn_b
     else:
-        outwards, opening = out > 0.0, out - back  # one of the two is closed
+        outwards, opening = edge_pa > 0.0, edge_pa - edge_at  # one of the two is closed
         into_a = eq.orifice(opening, choose(outwards, drops_out[0], drops_back[0]))
         into_b = -eq.orifice(opening, choose(outwards, drops_out[1], drops_back[1]))
         drawn = choose(outwards, into_a, into_b)

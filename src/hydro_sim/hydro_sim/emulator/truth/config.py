@@ -124,6 +124,7 @@ def check_truth(config: TruthConfig) -> TruthConfig:
     for name, key in (
         ("leakage_external", "chamber"), ("load_cell_gain", "cell"), ("load_cell_bias", "cell"),
         ("pressure_sensor_bias", "chamber"), ("sensor_lag", "sensor"), ("dead_volume", "chamber"),
+        ("valve_edge", "edge"),
     ):  # fmt: skip
         places = [getattr(item, key) for item in getattr(config.effects, name)]
         if len(places) != len(set(places)):

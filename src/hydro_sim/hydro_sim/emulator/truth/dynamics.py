@@ -112,14 +112,17 @@ def orifice_flow(coefficient, drop):
 @njit
 def edge_flows(p, spool, gain, pressure_a, pressure_b, supply, tank):
     """Flows [m3/s] supply -> A, A -> tank, supply -> B, B -> tank at the spool's position [A]."""
-    leak = null_leak(p, spool)
-    extending = gain * p.gain_positive * p.orifice * opening(p, spool, p.overlap_positive) + leak
-    retracting = gain * p.gain_negative * p.orifice * opening(p, -spool, p.overlap_negative) + leak
+    leak, out, back = null_leak(p, spool), p.gain_positive * p.orifice, p.gain_negative * p.orifice
+
+    def flow(k, size, travel, overlap, drop):
+        conductance = gain * size * opening(p, travel, overlap + p.edge_overlap[k]) + leak
+        return orifice_flow(p.edge_ratio[k] * conductance, drop)
+
     return (
-        orifice_flow(extending, supply - pressure_a),
-        orifice_flow(retracting, pressure_a - tank),
-        orifice_flow(retracting, supply - pressure_b),
-        orifice_flow(extending, pressure_b - tank),
+        flow(0, out, spool, p.overlap_positive, supply - pressure_a),
+        flow(1, back, -spool, p.overlap_negative, pressure_a - tank),
+        flow(2, back, -spool, p.overlap_negative, supply - pressure_b),
+        flow(3, out, spool, p.overlap_positive, pressure_b - tank),
     )
 
 

@@ -15,6 +15,8 @@ from hydro_core.settings import quantity
 
 SensorName = Literal["hydraulic_force", "load_force", "pressure_a", "pressure_b", "piston_position"]
 SENSORS: tuple[str, ...] = get_args(SensorName)
+EdgeName = Literal["pa", "at", "pb", "bt"]
+EDGES: tuple[EdgeName, ...] = get_args(EdgeName)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,6 +84,15 @@ class ValveUnderlap:
     """Lands shorter than the ports: near null both edges of a chamber are open."""
 
     half_width: Annotated[float, quantity("A", 0.0, 0.02)]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ValveEdge:
+    """One edge (supply or tank to A or B) that opens later than the others, and passes a share of their flow."""
+
+    edge: EdgeName
+    overlap: Annotated[float, quantity("A", -0.02, 0.02)] = 0.0
+    ratio: Annotated[float, quantity("-", 0.0, 10.0)] = 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -261,6 +272,7 @@ class Effects:
     leakage_external: tuple[LeakageExternal, ...] = ()
     valve_deadband: ValveDeadband | None = None
     valve_underlap: ValveUnderlap | None = None
+    valve_edge: tuple[ValveEdge, ...] = ()
     valve_lag: ValveLag | None = None
     transport_delay: TransportDelay | None = None
     valve_offset: ValveOffset | None = None

@@ -66,6 +66,8 @@ def _valve(config: TruthConfig) -> dict[str, Any]:
     warm = outside.valve_temperature or kinds.ValveTemperature(change=0.0)
     band = effects.valve_deadband or kinds.ValveDeadband(half_width=0.0)
     overlaps = band.half_width, band.half_width if band.half_width_negative is None else band.half_width_negative
+    edges = {one.edge: one for one in effects.valve_edge}
+    each = [edges.get(name, kinds.ValveEdge(edge=name)) for name in kinds.EDGES]
     leak = effects.valve_null_leakage or kinds.ValveNullLeakage(coefficient=0.0)
     lag = effects.valve_lag or kinds.ValveLag(order=0)  # an ideal spool
     drop = bench.valve_nominal_pressure_drop / 2.0
@@ -75,6 +77,7 @@ def _valve(config: TruthConfig) -> dict[str, Any]:
         "gain_drift": effects.valve_gain_drift.rate if effects.valve_gain_drift else 0.0,
         "warm_change": warm.change, "warm_time": warm.time_constant,
         "overlap_positive": overlaps[0] - short, "overlap_negative": overlaps[1] - short,
+        "edge_overlap": tuple(one.overlap for one in each), "edge_ratio": tuple(one.ratio for one in each),
         "softness": band.softness if band.form == "soft" else 0.0,
         "null_leak": leak.coefficient, "null_width": leak.width, "null_hyperbolic": float(leak.form == "hyperbolic"),
         "valve_offset": effects.valve_offset.current if effects.valve_offset else 0.0,

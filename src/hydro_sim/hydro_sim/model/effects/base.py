@@ -197,6 +197,8 @@ class Effect:
     """Whether its term depends on the piston's acceleration."""
     all_edges: ClassVar[bool] = False
     """Whether both edges of a chamber may be open at the same time."""
+    edge: str = ""
+    """The edge on which its `land` is, one of `equations.EDGES`; empty if on none."""
     parameters: ClassVar[tuple[Parameter, ...]] = ()
     states: ClassVar[tuple[HiddenState, ...]] = ()
 
@@ -261,6 +263,10 @@ class Effect:
     def underlap(self, width: Symbol) -> Symbol:
         """Return the width [A] by which all four edges are open at null."""
         return width
+
+    def land(self, width: Symbol) -> tuple[Symbol, Symbol]:
+        """Return the width [A] by which its `edge` is open at null, from that of all, and its share of the flow [-]."""
+        return width, 1.0
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
         """Return the conductances [m3/s/sqrt(Pa)] of the edges that extend the piston, and that retract it."""

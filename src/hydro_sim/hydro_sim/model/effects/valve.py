@@ -11,10 +11,12 @@ import numpy as np
 
 from hydro_sim.model.effects import lags
 from hydro_sim.model.effects.base import Effect, fit, hidden, parameter
-from hydro_sim.model.equations import Symbol, clip
+from hydro_sim.model.equations import EDGES, Symbol, clip
 
 DRIFT_GAIN_MIN, DRIFT_GAIN_MAX = 0.2, 5.0
 """Bounds of a gain that drifts with time: a simulation may run for hours."""
+
+_PORTS = {"p": "supply", "a": "chamber A", "b": "chamber B", "t": "tank"}
 
 _OVERLAP = fit(1e-4, 5e-4, smallest_reported=5e-6, high=0.02)
 _RATIO = fit(0.9, smallest_reported=0.004, low=0.2, high=5.0)
@@ -136,6 +138,31 @@ class ValveUnderlap(_Valve):
         return width + self.half_width
 
 
+class ValveEdge(_Valve):
+    """One edge whose land differs from the others': its overlap beyond theirs, of either sign, and share of flow."""
+
+    id = "valve_edge"
+    options = {"edge": EDGES}
+    all_edges = True
+    single = True
+    overlap = parameter("A", -10.0, 10.0, scale=1e-4,
+                        fit=fit(2e-4, 0.0, smallest_reported=5e-6, low=-0.02, high=0.02))  # fmt: skip
+    ratio = parameter(
+        "-", 0.0, 100.0, scale=0.1, neutral=1.0, fit=fit(0.9, 1.0, smallest_reported=0.004, low=0.0, high=5.0)
+    )
+
+    def __init__(self, **chosen: str) -> None:
+        super().__init__(**chosen)
+        one, other = (_PORTS[port] for port in self.edge)
+        self.sentence_template = (
+            f"The valve's edge between {one} and {other} opens {{overlap:+.3g}} mA later than the others, and passes "
+            "{ratio:.4g} times their flow."
+        )
+
+    def land(self, width: Symbol) -> tuple[Symbol, Symbol]:
+        return width - self.overlap, self.ratio
+
+
 class ValveGain(_Valve):
     """Ratio of the valve gain K_v to the bench file's."""
 
@@ -207,5 +234,5 @@ def _softplus(ratio: Symbol) -> Symbol:
 
 EFFECTS = (
     TransportDelay, ValveOffset, ValveLag, ValveLagFirstOrder, ValveDeadband, ValveDeadbandAsymmetric,
-    ValveDeadbandSoft, ValveUnderlap, ValveGain, ValveGainAsymmetry, ValveGainDrift, ValveNullLeakage,
+    ValveDeadbandSoft, ValveUnderlap, ValveEdge, ValveGain, ValveGainAsymmetry, ValveGainDrift, ValveNullLeakage,
 )  # fmt: skip
