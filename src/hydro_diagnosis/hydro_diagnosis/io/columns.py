@@ -227,7 +227,7 @@ def set_day_units(found: Columns) -> None:
 
 
 def assign_clocks_of_equal_length(found: Columns) -> None:
-    """Assign a clock to each column of a file with several lengths: a time column of the same length.
+    """Assign a clock to each column without one, of a file with several lengths: a time column of the same length.
 
     A time column in the same struct or group takes precedence. Of columns without one, the longest are kept without a
     clock and the others are listed under `other`.
@@ -237,13 +237,13 @@ def assign_clocks_of_equal_length(found: Columns) -> None:
     if all(len(values) == longest for values in series.values()):
         return
     times = [name for name, values in series.items() if is_time(name, values)]
-    for name, values in [*series.items()]:
-        alike = [time for time in times if len(series[time]) == len(values)]
+    for name in [name for name in series if name not in (*clocks, *clocks.values())]:
+        alike = [time for time in times if len(series[time]) == len(series[name])]
         if alike:
             parts = name.split(".")[:-1]
             in_common = [sum(takewhile(bool, map(eq, parts, time.split(".")[:-1]))) for time in alike]
             clocks[name] = alike[int(np.argmax(in_common))]
-        elif len(values) != longest:
+        elif len(series[name]) != longest:
             found.other.append(name)
             del series[name]
     if len({clocks.get(name) for name in series}) == 1:

@@ -17,10 +17,10 @@ import resource
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, NamedTuple
 
 import h5py
 import numpy as np
@@ -36,14 +36,13 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import (
     Columns,
     assign_clocks_of_equal_length,
-    is_time,
     merge_parts,
     set_day_units,
     stated_step,
     unique,
 )
 from hydro_diagnosis.io.text import numbers_of, text_columns
-from hydro_diagnosis.io.units import known, split_unit
+from hydro_diagnosis.io.units import known, split_unit, to_si
 from hydro_diagnosis.recording import InputError
 
 log_manager.set_level(logging.CRITICAL)  # npTDMS would print what is reported as a note here
@@ -183,46 +182,91 @@ def _read_as(kind: str) -> Iterator[None]:
         raise ValueError(f"not {kind} that can be read ({error})") from None
 
 
-# --- scales --------------------------------------------------------------------------------------------------------
+# --- channels ------------------------------------------------------------------------------------------------------
+
+
+class Channel(NamedTuple):
+    """Channel of a file: numbers, texts of numbers, or a matrix of several."""
+
+    name: str
+    values: Any
+    unit: str = ""
+    times: FloatArray | None = None  # s, (n,)
+    group: str = ""  # prefix of its clock's name
+    said: Mapping[str, Any] = {}
+    """What the file says of scale, offset, missing and valid values."""
+
+
+def collect(channels: Iterable[Channel], found: Columns) -> Columns:
+    """Add channels: one number is a constant, a matrix several columns `name.0`, `name.1`; what is neither is named."""
+    for one in channels:
+        array, bad = np.asarray(one.values), None
+        if array.dtype == object and array.ndim == 1:
+            array, bad = numbers_of(pd.Series(array))
+        if bad is not None:
+            found.broken[one.name] = f"{one.values[bad]!r} in row {bad + 1} of {one.name!r} is not a number as the others are"
+        elif array.dtype.kind not in "fiub" or array.ndim > 2 or array.size == 0 or np.isnan(array).all():
+            found.other.append(unique(one.name, found.series))
+        elif array.size == 1:
+            found.constants[one.name] = float(array.reshape(()))
+        else:
+            array = _scaled(found, one.name, array, one.said)
+            for name, values in _split(one.name, array).items():
+                column = found.add(name, values, one.unit)
+                if one.times is not None:
+                    found.clocks[column] = found.clock(one.times, one.group)
+    set_day_units(found)
+    assign_clocks_of_equal_length(found)
+    return found
+
+
+def _split(name: str, array: FloatArray) -> dict[str, FloatArray]:
+    """Columns `name.0`, `name.1`, ... of a matrix, time along its longer side; a vector is `name`."""
+    upright = np.atleast_2d(array)
+    upright = upright if upright.shape[0] >= upright.shape[1] else upright.T
+    if upright.shape[1] == 1:
+        return {name: upright[:, 0]}
+    return {f"{name}.{k}": upright[:, k] for k in range(upright.shape[1])}
+
 
 _FILL_KEYS = ("_FillValue", "missing_value")
 _SCALE_KEY = re.compile(
     r"(scale|gain|slope|factor|sensitivity|calib\w*|offset|intercept|bias|conversion)([_ ]?(factor|value))?", re.I
 )
-_APPLIED = ("scale_factor", "add_offset", *_FILL_KEYS, "valid_min", "valid_max", "valid_range")
-"""Attributes of the conventions for climate and forecast (CF)."""
 
 
 def _scaled(found: Columns, name: str, raw: Any, said: Mapping[str, Any]) -> FloatArray:
-    """Values by what the file says of scale, offset, missing and valid values; other such words refuse the column."""
-    values = np.asarray(raw).astype(np.float64)
-    numbers = {
-        key: np.asarray(value, dtype=np.float64).reshape(-1)
-        for key, value in said.items()
-        if not isinstance(value, h5py.Empty) and np.asarray(value).dtype.kind in "fiu" and np.asarray(value).size
-    }
-    bad = np.zeros(values.shape, dtype=bool)
-    for key in _FILL_KEYS:
-        bad |= np.isin(values, numbers.get(key, []))
+    """Values by the attributes of the climate and forecast conventions (CF); other scales refuse the column."""
+    values = raw.astype(np.float64)
+    numbers = {key: np.asarray(one, dtype=np.float64).reshape(-1) for key, one in said.items() if _is_numeric(one)}
     low, high = numbers.get("valid_range", [np.nan, np.nan])[:2]
-    bad |= (values < numbers.get("valid_min", [low])[0]) | (values > numbers.get("valid_max", [high])[0])
-    values[bad] = np.nan
-    scale, offset = (
-        float(numbers[key][0]) if key in numbers and len(numbers[key]) == 1 else one
-        for key, one in (("scale_factor", 1.0), ("add_offset", 0.0))
-    )
-    if (scale, offset) != (1.0, 0.0):
-        values = values * scale + offset
-        found.notes.append(f"{name!r} was scaled as the file states: * {scale:g} + {offset:g}")
+    bad = (values < numbers.get("valid_min", [low])[0]) | (values > numbers.get("valid_max", [high])[0])
+    bad |= np.isin(values, np.concatenate([numbers.get(key, np.empty(0)) for key in _FILL_KEYS]))
+    scale, offset = (numbers.pop(key, np.array([one])) for key, one in (("scale_factor", 1.0), ("add_offset", 0.0)))
+    if len(scale) == len(offset) == 1 and (scale[0], offset[0]) != (1.0, 0.0):
+        values = values * scale[0] + offset[0]
+        found.notes.append(f"{name!r} was scaled as the file states: * {scale[0]:g} + {offset[0]:g}")
+    elif len(scale) != 1 or len(offset) != 1:
+        numbers["scale_factor"] = scale
     if bad.any():
+        values[bad] = np.nan
         found.notes.append(f"{int(bad.sum())} values of {name!r} are marked as missing: left out")
     for key, value in numbers.items():
-        if _SCALE_KEY.fullmatch(key) and value[0] not in (0.0, 1.0) and (key not in _APPLIED or len(value) > 1):
+        if _SCALE_KEY.fullmatch(key) and value[0] not in (0.0, 1.0):
             found.unsure[name] = (
                 f"{name!r} states {key!r} = {value[0]:g}, which may be applied already: give its unit in the map, as "
                 f"in FIELD='{name}'[UNIT] if it is, FIELD='{name}'[UNIT]*{value[0]:g} if not"
             )
     return np.asarray(values)
+
+
+def _is_numeric(value: Any) -> bool:
+    return not isinstance(value, h5py.Empty) and np.asarray(value).dtype.kind in "fiu" and np.asarray(value).size > 0
+
+
+def _text(value: Any) -> str:
+    value = value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
+    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
 
 
 # --- trees: MATLAB, HDF5, NetCDF -----------------------------------------------------------------------------------
@@ -241,97 +285,65 @@ def hdf5_columns(path: Path) -> Columns:
     with _read_as("an HDF5 file"), h5py.File(path, "r") as file:
         file.visititems(lambda _, one: sizes.append(getattr(one, "nbytes", 0) if _is_stored(one) else 0))
         _declared(path, sum(sizes))
-        return _tree_columns(_hdf5_tree(file, file, found, "", {}), found)
+        return _tree_columns(_hdf5_tree(file, file, found, {}), found)
 
 
 def netcdf_columns(path: Path) -> Columns:
     """Columns of a NetCDF file of version 3 (a later one is HDF5). Raises ValueError, OSError."""
-    found, tree = Columns(), {}
     with _read_as("a NetCDF file"), netcdf_file(path, mmap=False, maskandscale=False) as file:
         _declared(path, sum(int(np.prod(one.shape)) for one in file.variables.values()))
-        for name, one in file.variables.items():
-            said = {key: value for key, value in vars(one).items() if not key.startswith("_") or key in _FILL_KEYS}
-            tree[name] = _Leaf(_scaled(found, name, one.data, said), _text(said.get("units", "")))
-    return _tree_columns(tree, found)
+        channels = [Channel(name, np.array(one.data), _text(vars(one).get("units", "")), said=vars(one)["_attributes"])
+                    for name, one in file.variables.items()]  # fmt: skip
+    return collect(channels, Columns())
 
 
 def _is_stored(item: Any) -> bool:
     return not isinstance(item, h5py.Dataset) or (item.size or 0) < 2 or item.id.get_storage_size() > 0
 
 
-class _Leaf:
-    """Array of a file with its unit and sampling step, or an object of MATLAB."""
-
-    def __init__(self, values: Any, unit: str = "", start: float = 0.0, step: float = 0.0) -> None:
-        self.values, self.unit, self.start, self.step = values, unit, start, step
-
-
-def _hdf5_tree(file: h5py.File, item: Any, found: Columns, name: str, inherited: Mapping[str, Any]) -> Any:
-    """Content of a group or dataset: mappings, lists and texts as scipy reads them of MATLAB, leaves for arrays."""
+def _hdf5_tree(file: h5py.File, item: Any, found: Columns, inherited: Mapping[str, Any]) -> Any:
+    """Content of a group or dataset: mappings, lists and texts as scipy reads them of MATLAB, channels for arrays."""
     said = dict(item.attrs.items())
     if isinstance(item, h5py.Group):
-        parts = {key: one for key, one in item.items() if not key.startswith("#")}  # MATLAB's contents of cells
-        prefix = f"{name}." if name else ""
-        tree = {key: _hdf5_tree(file, one, found, f"{prefix}{key}", said) for key, one in parts.items()}
-        if parts and all(isinstance(one, list) and len(one) > 1 for one in tree.values()):  # a struct array
+        tree = {key: _hdf5_tree(file, one, found, said) for key, one in item.items() if not key.startswith("#")}
+        if tree and all(isinstance(one, list) and len(one) > 1 for one in tree.values()):  # a struct array
             return [dict(zip(tree, one, strict=True)) for one in zip(*tree.values(), strict=True)]
         return tree
-    if not isinstance(item, h5py.Dataset):
-        return ""
     kind = _text(said.get("MATLAB_class", ""))
     if "MATLAB_object_decode" in said:
-        return _Leaf(MatlabOpaque(np.empty(0)), kind)
-    if not item.size:
+        return Channel("", MatlabOpaque(np.empty(0)), kind)
+    if not isinstance(item, h5py.Dataset) or not item.size or _text(said.get("NAME", "")).startswith("This is a netCDF d"):
+        return ""
+    if not _is_stored(item):
+        found.notes.append(f"{item.name!r} declares {item.size} numbers, of which the file holds none")
         return ""
     if h5py.check_ref_dtype(item.dtype) is not None:
-        return [_hdf5_tree(file, file[one], found, name, {}) if one else "" for one in item[()].reshape(-1, order="F")]
+        return [_hdf5_tree(file, file[one], found, {}) if one else "" for one in item[()].reshape(-1, order="F")]
     if kind == "char":
-        return "".join(map(chr, item[()].reshape(-1, order="F").tolist())) if item.size else ""
-    if _text(said.get("NAME", "")).startswith("This is a netCDF dimension"):
-        return ""
-    start, step = stated_step((key, _text(one)) for key, one in {**inherited, **said}.items())
-    if not _is_stored(item):
-        found.notes.append(f"{name!r} declares {item.size} numbers, of which the file holds none")
-        return ""
-    if item.dtype.names:
-        return {key: _Leaf(item[key], "", start, step) for key in item.dtype.names}
-    if item.dtype.kind not in "fiub":
+        return "".join(map(chr, item[()].reshape(-1, order="F").tolist()))
+    if item.dtype.kind not in "fiubV":
         texts = [_text(one) for one in np.atleast_1d(item[()]).reshape(-1)] if item.dtype.kind in "OS" else []
         return texts[0] if len(texts) == 1 else texts
+    start, step = stated_step((key, _text(one)) for key, one in {**inherited, **said}.items())
+    times = start + step * np.arange(max(item.shape, default=0), dtype=np.float64) if step else None
+    if item.dtype.names:
+        return {key: Channel("", item[key], times=times) for key in item.dtype.names}
     unit = next((_text(said[key]) for key in ("unit", "units", "Unit", "Units", "unit_string") if key in said), "")
-    if item.size == 1:
-        return float(item[()].reshape(()))
-    return _Leaf(_scaled(found, name, item[()], said), unit, start, step)
-
-
-def _text(value: Any) -> str:
-    value = value[0] if isinstance(value, np.ndarray) and value.size == 1 else value
-    return value.decode(errors="replace") if isinstance(value, bytes) else str(value)
+    return Channel("", item[()], unit, times, said=said)
 
 
 def _tree_columns(tree: Mapping[str, Any], found: Columns) -> Columns:
-    """Add columns and scalars of a tree: structs and cells are flattened with dots, matrices to `name.0`, `name.1`.
+    """Add columns and scalars of a tree: structs and cells are flattened with dots.
 
-    Texts beside an array name it or its columns, and their units. Raises ValueError for nothing but MATLAB objects.
+    Texts beside an array name it or its columns, and their units. Raises InputError for nothing but MATLAB objects.
     """
-    objects: list[str] = []
-    if len(tree) == 1 and _capture(next(iter(tree.values())), found):
-        return found
-    for name, leaf in _leaves(tree, ""):
-        array = np.asarray(leaf.values)
-        if isinstance(leaf.values, (MatlabOpaque, MatlabFunction)):
-            objects.append(f"{name} ({leaf.unit})" if leaf.unit else name)
-        if array.dtype.kind not in "fiub" or array.ndim > 2 or array.size == 0:
-            found.other.append(name)
-        elif array.size == 1:
-            found.constants[name] = float(array.reshape(()))
-        else:
-            names = [found.add(*column, leaf.unit) for column in _split(name, array.astype(np.float64)).items()]
-            if leaf.step:
-                times = leaf.start + leaf.step * np.arange(len(found.series[names[0]]), dtype=np.float64)
-                found.clocks.update(dict.fromkeys(names, found.clock(times)))
-    set_day_units(found)
-    assign_clocks_of_equal_length(found)
+    only = next(iter(tree.values()), None) if len(tree) == 1 else None
+    if isinstance(only, Mapping) and {"X", "Y"} <= set(only):
+        with suppress(KeyError, TypeError):
+            return _capture(only, found)
+    channels = list(_leaves(tree, ""))
+    objects = [f"{one.name} ({one.unit})" if one.unit else one.name for one in channels if isinstance(one.values, _OBJECTS)]
+    collect((one for one in channels if not isinstance(one.values, _OBJECTS)), found)
     if objects:
         called = ", ".join(objects)
         found.notes.append(f"{called}: objects of MATLAB cannot be read: save numbers, a timetable by timetable2table")
@@ -340,23 +352,17 @@ def _tree_columns(tree: Mapping[str, Any], found: Columns) -> Columns:
     return found
 
 
-def _split(name: str, array: FloatArray) -> dict[str, FloatArray]:
-    """Return the columns `name.0`, `name.1`, ... of a matrix, time along its longer side; a vector is `name`."""
-    upright = np.atleast_2d(array)
-    upright = upright if upright.shape[0] >= upright.shape[1] else upright.T
-    if array.ndim == 1 or upright.shape[1] == 1:
-        return {name: upright[:, 0]}
-    return {f"{name}.{k}": upright[:, k] for k in range(upright.shape[1])}
+_OBJECTS = (MatlabOpaque, MatlabFunction)
 
 
-def _leaves(value: Any, name: str) -> Iterator[tuple[str, _Leaf]]:
+def _leaves(value: Any, name: str) -> Iterator[Channel]:
     """Yield the leaves of structs and cells: `out.signals.0.values`, `log.data.pA [bar]`."""
     if isinstance(value, Mapping):
         parts = [(str(key), _by_texts(one, value)) for key, one in value.items()]
-    elif isinstance(value, (list, tuple)) or (isinstance(value, np.ndarray) and value.dtype == object):
+    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object and not isinstance(value, _OBJECTS)):
         parts = [(str(k), one) for k, one in enumerate(value)]
     else:
-        yield name, value if isinstance(value, _Leaf) else _Leaf(value)
+        yield value._replace(name=name) if isinstance(value, Channel) else Channel(name, value)
         return
     for key, one in parts:
         yield from _leaves(one, f"{name}.{key}" if name else key)
@@ -364,22 +370,20 @@ def _leaves(value: Any, name: str) -> Iterator[tuple[str, _Leaf]]:
 
 def _by_texts(value: Any, beside: Mapping[str, Any]) -> Any:
     """Columns of an array by name, if texts of its struct name them or their units (`colheaders`, `label`), else it."""
-    array = value.values if isinstance(value, _Leaf) else value
-    if not isinstance(array, np.ndarray) or array.dtype.kind not in "fiub" or array.size < 2 or array.ndim > 2:
+    leaf = value if isinstance(value, Channel) else Channel("", value)
+    if not isinstance(leaf.values, np.ndarray) or leaf.values.dtype.kind not in "fiub" or not 1 < leaf.values.size:
         return value
-    columns = list(_split("", array).values())
-    words = {key.lower(): _texts(one) for key, one in beside.items()}
-    alike = {key: one for key, one in words.items() if len(one) == len(columns)}
+    columns = list(_split("", leaf.values).values()) if leaf.values.ndim <= 2 else []
+    alike = {key.lower(): one for key, texts in beside.items() if len(one := _texts(texts)) == len(columns)}
     if len(columns) == 1:
         alike = {key: one for key, one in alike.items() if key in ("label", "name", "title", "unit", "units")}
     units = next((one for key, one in alike.items() if all(map(known, one)) and (len(one) > 1 or "unit" in key)), [])
     names = [one for one in alike.values() if one is not units and all(one) and len(set(one)) == len(one)]
     if not names and not any(units):
         return value
-    step = (value.unit, value.start, value.step) if isinstance(value, _Leaf) else ("", 0.0, 0.0)
-    own = names[0] if names else [str(k) for k in range(len(columns))]
+    own = names[0] if names else map(str, range(len(columns)))
     ends = [f" [{unit}]" if unit else "" for unit in units or [""] * len(columns)]
-    return {f"{key}{end}": _Leaf(one, *step) for key, end, one in zip(own, ends, columns, strict=True)}
+    return {f"{key}{end}": leaf._replace(values=one) for key, end, one in zip(own, ends, columns, strict=True)}
 
 
 def _texts(value: Any) -> list[str]:
@@ -388,28 +392,27 @@ def _texts(value: Any) -> list[str]:
     return [one.strip() for one in entries] if all(isinstance(one, str) for one in entries) else []
 
 
-def _capture(content: Any, found: Columns) -> bool:
-    """Add a ControlDesk export (axes X, signals Y with Name, Data and the axis `XIndex` from 1); whether it is one."""
-    if not isinstance(content, Mapping) or not {"X", "Y"} <= set(content):
-        return False
-    entries = (np.atleast_1d(np.asarray(content[key], dtype=object)) for key in "XY")
-    axes, signals = ([one for one in those if isinstance(one, Mapping)] for those in entries)
-    if not all({"Name", "Data"} <= set(one) for one in (*axes, *signals)):
-        return False
+def _capture(content: Mapping[str, Any], found: Columns) -> Columns:
+    """Columns of a ControlDesk export: axes X, signals Y with Name, Data and the axis `XIndex` from 1.
 
-    def add(entry: Mapping[str, Any], name: str) -> str:
-        values = entry["Data"].values if isinstance(entry["Data"], _Leaf) else entry["Data"]
-        return found.add(name, np.asarray(values, dtype=np.float64).reshape(-1), str(entry.get("Unit", "")))
-
-    clocks = [add(axis, "time") for axis in axes]
-    for signal in signals:
-        name, index = add(signal, str(signal["Name"])), int(signal.get("XIndex", 1)) - 1
-        found.clocks[name] = clock = clocks[index if 0 <= index < len(clocks) else 0]
-        if len(found.series[name]) != len(found.series[clock]):
+    Raises KeyError or TypeError if it is none.
+    """
+    axes, signals = (
+        [(one, np.asarray(getattr(one["Data"], "values", one["Data"]), dtype=np.float64).reshape(-1)) for one in entries]
+        for entries in (np.atleast_1d(np.asarray(content[key], dtype=object)) for key in "XY")
+    )  # fmt: skip
+    channels = []
+    for signal, values in signals:
+        index = int(signal.get("XIndex", 1)) - 1
+        axis, times = axes[index if 0 <= index < len(axes) else 0]
+        if len(values) != len(times):
             raise ValueError("a signal and its axis have different lengths")
+        times = times * to_si(known(str(axis.get("Unit", ""))))
+        channels.append(Channel(str(signal["Name"]), values, str(signal.get("Unit", "")), times))
+    collect(channels, found)
     if len(axes) <= 1:
         found.clocks.clear()
-    return True
+    return found
 
 
 # --- MDF, TDMS, Parquet --------------------------------------------------------------------------------------------
@@ -430,23 +433,21 @@ def mdf_columns(path: Path) -> Columns:
         ) from None
     for kind in (MDF3, MDF4):  # for an unreadable file it prints a traceback
         setattr(kind, "__del__", lambda self: None)  # noqa: B010
-    parts: dict[int, Columns] = {}
+    groups: dict[int, tuple[list[Channel], Columns]] = {}
     with _read_as("an MDF file"), MDF(str(path)) as file:
         _declared(path, sum(one.channel_group.cycles_nr * len(one.channels) for one in file.groups))
         for signal in file.iter_channels(skip_master=True, raw=True):
-            part, name = parts.setdefault(signal.group_index, Columns()), str(signal.name)
+            channels, part = groups.setdefault(signal.group_index, ([], Columns()))
             values, texts = _converted(signal)
-            if values.ndim != 1 or len(values) < 2 or not np.isfinite(values).any():
-                part.other.append(unique(name, part.series))
-                continue
-            name = part.add(name, values, str(signal.unit))
-            part.clocks[name] = part.clock(np.asarray(signal.timestamps, dtype=np.float64))
-            if signal.invalidation_bits is not None and (invalid := np.asarray(signal.invalidation_bits, bool)).any():
+            name, bits = str(signal.name), signal.invalidation_bits
+            invalid = np.zeros(len(values), bool) if bits is None else np.asarray(bits, bool)[: len(values)]
+            if invalid.any():
                 values[invalid] = np.nan
                 part.notes.append(f"{int(invalid.sum())} samples of {name!r} are marked as invalid: left out")
-            if texts:
+            if texts and np.isfinite(values).any():
                 part.notes.append(f"{len(texts)} samples of {name!r} are texts ({texts[0]!r}): left out")
-        found = merge_parts(parts.values())
+            channels.append(Channel(name, values, str(signal.unit), np.asarray(signal.timestamps, dtype=np.float64)))
+        found = merge_parts(collect(channels, part) for channels, part in groups.values())
     first: dict[bytes, str] = {}  # groups sampled together share a clock
     same = {clock: first.setdefault(found.series[clock].tobytes(), clock) for clock in found.clocks.values()}
     found.clocks.update({name: same[clock] for name, clock in found.clocks.items()})
@@ -456,9 +457,11 @@ def mdf_columns(path: Path) -> Columns:
 def _converted(signal: Any) -> tuple[FloatArray, list[str]]:
     """Physical values of a raw signal, NaN where its conversion gives a text, and these texts."""
     raw = np.asarray(signal.samples)
-    if signal.conversion is None or raw.dtype.kind not in "fiub":
-        return (raw.astype(np.float64) if raw.dtype.kind in "fiub" else np.empty(0)), []
-    samples = np.asarray(signal.conversion.convert(raw, ignore_value2text_conversions=False))
+    if raw.dtype.kind not in "fiub" or raw.ndim != 1:
+        return np.empty(0), []
+    samples = raw
+    if signal.conversion is not None:
+        samples = np.asarray(signal.conversion.convert(raw, ignore_value2text_conversions=False))
     if samples.dtype.kind in "fiub":
         return samples.astype(np.float64), []
     words = [one.decode(errors="replace") if isinstance(one, bytes) else one for one in samples.tolist()]
@@ -509,51 +512,37 @@ def tdms_columns(path: Path) -> Columns:
         file = TdmsFile.read(str(path))
         if file.file_status.incomplete_final_segment:
             found.notes.append("the file was cut off: read up to where it ends")
-    series, groups = found.series, file.groups()
     earliest = min((one[0][1] for one in reader.starts.values()), default=np.datetime64(0, "ns"))
-    unsaid: list[str] = []
-    for group in groups:
-        prefix, named = f"{group.name}." if len(groups) > 1 else "", {}
+    channels, unsaid = list[Channel](), list[str]()
+    for group in file.groups():
+        prefix = f"{group.name}." if len(file.groups()) > 1 else ""
         for channel in group.channels():
-            name, values = f"{prefix}{channel.name}", np.asarray(channel[:])
+            name, values, said = f"{prefix}{channel.name}", np.asarray(channel[:]), channel.properties
             if values.dtype.kind == "M":  # times of day: since the first of them
-                values = (values - values[0]) / np.timedelta64(1, "s") if len(values) else values
-            if values.dtype.kind not in "fiub" or len(values) < 2:
-                found.other.append(unique(name, series))
-                continue
-            said = channel.properties
+                values = (values - values[:1]) / np.timedelta64(1, "s")
+            step, times = float(said.get("wf_increment", 0.0)), None
+            if step > 0.0:
+                times = step * np.arange(len(values), dtype=np.float64)
+                unsaid += [name] * (channel.path not in reader.starts)
+                for first, start in reader.starts.get(channel.path, []):  # one that goes on counting is no restart
+                    begin = float((start - earliest) / np.timedelta64(1, "ns")) * 1e-9
+                    if first < len(values) and (first == 0 or abs(begin - times[first]) > 0.5 * step):
+                        times[first:] = begin + step * np.arange(len(values) - first, dtype=np.float64)
+                times += float(said.get("wf_start_offset", 0.0))
             scales = [str(one) for key, one in said.items() if re.fullmatch(r"NI_Scale\[\d+\]_Scale_Type", key)]
-            name = found.add(
-                name, values.astype(np.float64), str(said.get("unit_string", said.get("NI_UnitDescription", "")))
-            )
-            named[name] = channel
-            if said.get("NI_Scaling_Status") != "scaled" and (
-                odd := [one for one in scales if one not in _TDMS_SCALES]
-            ):
+            odd = [one for one in scales if one not in _TDMS_SCALES and said.get("NI_Scaling_Status") != "scaled"]
+            if odd:
                 found.unsure[name] = (
                     f"{name!r} is to be scaled by {odd[0]!r}, which npTDMS does not: give unit and factor in the map, "
                     f"as in FIELD='{name}'[UNIT]*FACTOR+OFFSET"
                 )
-        times = [name for name in named if is_time(name, series[name])]
-        for name, channel in named.items():
-            step, length = float(channel.properties.get("wf_increment", 0.0)), len(series[name])
-            same = [time for time in times if len(series[time]) == length]
-            if step > 0.0:
-                starts = reader.starts.get(channel.path, [])
-                unsaid += [name] * (not starts)
-                own: FloatArray = step * np.arange(length, dtype=np.float64)
-                for first, start in starts:  # one that continues the count of samples is no restart
-                    begin = float((start - earliest) / np.timedelta64(1, "ns")) * 1e-9
-                    if first < length and (first == 0 or abs(begin - own[first]) > 0.5 * step):
-                        own[first:] = begin + step * np.arange(length - first, dtype=np.float64)
-                own += float(channel.properties.get("wf_start_offset", 0.0))
-                found.clocks[name] = found.clock(own, prefix)
-            elif same:
-                found.clocks[name] = same[0]
+            unit = str(said.get("unit_string", said.get("NI_UnitDescription", "")))
+            channels.append(Channel(name, values, unit, times, prefix))
+    collect(channels, found)
     if reader.starts and unsaid:
         found.notes.append(f"{', '.join(unsaid)} has no start time: taken is that of the first of the others")
-    for name in sorted({clock for clock in found.clocks.values() if (series[clock][:1] > 0.0).any()}):
-        found.notes.append(f"{name!r} was started {1e3 * series[name][0]:.6g} ms after the first")
+    for name in sorted({clock for clock in found.clocks.values() if (found.series[clock][:1] > 0.0).any()}):
+        found.notes.append(f"{name!r} was started {1e3 * found.series[name][0]:.6g} ms after the first")
     return found
 
 
@@ -562,25 +551,18 @@ def parquet_columns(path: Path) -> Columns:
     with _read_as("a Parquet file"):
         said = pyarrow.parquet.read_metadata(path)
         _declared(path, 8 * said.num_rows * said.num_columns)
-        frame, found = pd.read_parquet(path), Columns()
+        frame, channels = pd.read_parquet(path), list[Channel]()
     columns = [(str(name), cells) for name, cells in frame.items()]
     if not isinstance(frame.index, pd.RangeIndex):
         levels = (frame.index.get_level_values(k).to_series() for k in range(frame.index.nlevels))
         columns = [(str(one.name or ("time" if one.dtype.kind in "fmM" else "index")), one) for one in levels] + columns
     for name, cells in columns:
-        unit, bad = split_unit(name)[1], None
         if cells.dtype.kind in "mM":
             start = cells.iloc[0] if cells.dtype.kind == "M" else pd.Timedelta(0)
-            values, unit = (cells - start).dt.total_seconds().to_numpy(dtype=np.float64), "s"
+            channels.append(Channel(name, (cells - start).dt.total_seconds().to_numpy(dtype=np.float64), "s"))
         elif pd.api.types.is_numeric_dtype(cells):
             values = cells.to_numpy(dtype=np.float64, na_value=np.nan)
+            channels.append(Channel(name, values, split_unit(name)[1]))
         else:
-            values, bad = numbers_of(cells.astype(object))
-        if bad is not None:
-            found.broken[name] = f"{cells.iloc[bad]!r} in row {bad + 1} of {name!r} is not a number as the others are"
-        elif np.isfinite(values).any():
-            found.add(name, values, unit)
-        else:
-            found.other.append(name)
-    set_day_units(found)
-    return found
+            channels.append(Channel(name, cells.to_numpy(dtype=object), split_unit(name)[1]))
+    return collect(channels, Columns())

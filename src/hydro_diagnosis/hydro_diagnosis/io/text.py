@@ -5,9 +5,8 @@ A file is a sequence of records: lines, joined where a quoted cell holds line br
 words (a header, where names stand above as many numbers; else a remark) or blank. What is not read is counted, and
 named by its first line.
 
-Headers name columns in a row, with units below or in brackets; by keys at the beginning of rows (ControlDesk:
-`trace_names;...`); or by a key that each clock repeats (TwinCAT Scope: `Name;fPos;Name;fForce`). pyarrow reads the
-numbers. A column with a cell that it cannot read is read by the format that fits all of its cells: a decimal sign with
+A block in which each record is a row goes to pyarrow as it is; the records of any other are told apart one by one. A
+column with a cell that pyarrow cannot read is read by the format that fits all of its cells: a decimal sign with
 thousands, or times of day. If none does, its first unreadable cell and line are reported.
 """
 
@@ -19,7 +18,8 @@ from codecs import getincrementaldecoder
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import groupby, islice
+from functools import partial
+from itertools import chain, groupby, islice
 from pathlib import Path
 from typing import NamedTuple
 
@@ -33,11 +33,6 @@ from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import Columns, counts_rows, is_time, merge_parts, set_day_units, stated_step, unique
 from hydro_diagnosis.io.units import UNIT_FACTORS, known, split_unit, stated
 
-_NAME_KEYS = (
-    "name", "names", "trace_name", "trace_names", "displayidentifier", "signal", "signals", "channel", "label", "path",
-    "variable", "bezeichnung", "symbolname",
-)  # fmt: skip
-_UNIT_KEYS = ("unit", "units", "trace_units", "einheit", "einheiten", "y_unit_label")
 _BLANKS = r"\s+"
 _THOUSANDS = ".,'’ \u00a0\u2009\u202f"
 _NULLS = ["", "-", "--", "---", "?", "nan", "NaN", "NAN", "-nan", "NaN.", "NA", "N/A", "#N/A", "n/a", "NULL", "null",
@@ -58,6 +53,12 @@ _WORDS = re.compile(r"[\s\"]*(?!nan\b|inf\b)[^\W\d_#%\[]|[\s\"]*[_#%\[]", re.IGN
 """Beginning of a record of words."""
 _MAX_LINES = 40
 """Largest number of lines of one record."""
+_LAST_ROWS = 200
+"""Rows with which the separator is judged, and whether the last one was cut."""
+_REMARK = "hold words: their neighbours were joined"
+_SHORT = "have fewer numbers than the others"
+_OPEN = "open a quote that nothing closes: they were left out"
+_CUT = "end the file within a row or number: they were left out"
 
 
 class Style(NamedTuple):
@@ -68,6 +69,24 @@ class Style(NamedTuple):
     certain: bool
     """Whether some cell can be parsed with this decimal sign only."""
 
+    def cells(self, record: str) -> list[str]:
+        """Cells of a record, without quotes and line breaks."""
+        if self.separator == _BLANKS:
+            return record.split()
+        csv.field_size_limit(1 << 24)
+        reader = csv.reader([record.replace("\0", "")], delimiter=self.separator, skipinitialspace=True)
+        return [" ".join(cell.split("\n")).strip() for cell in next(reader, [])]
+
+    def number(self, cell: str) -> bool:
+        """Whether a cell is a number; one with a decimal point is one among decimal commas, too."""
+        return any(_NUMBER[sign].fullmatch(cell) for sign in {self.decimal, "."})
+
+    def row(self, cells: list[str]) -> bool:
+        """Whether most of the cells are numbers or times of day, and these are two or more cells."""
+        given = [cell for cell in cells if cell]
+        numbers = sum(len(one) < 100 and (self.number(one) or bool(re.search(_CLOCK, one))) for one in given)
+        return len(cells) > 1 and numbers > 0 and 2 * numbers > len(given)
+
 
 @dataclass(frozen=True)
 class Header:
@@ -77,8 +96,10 @@ class Header:
     """Records before the first row of numbers."""
     lead: int
     """Cells before the first number of a row: 1 where the rows begin with a key."""
+    n_cells: int
+    """Cells of a row, the lead and an empty last one among them."""
     names: tuple[str, ...]
-    """Names of the columns, each unique."""
+    """Names of the columns, each unique; those beyond the rows' cells are empty columns."""
     named: bool
     """Whether the file states the names."""
     units: tuple[str, ...]
@@ -93,14 +114,12 @@ class _Part:
     """Rows of numbers below one header."""
 
     header: Header
-    columns: list[list[pa.ChunkedArray]]
+    columns: list[list[pa.ChunkedArray]] = field(default_factory=list)
     """Numbers or texts of each column, by block."""
     lines: list[Sequence[int]] = field(default_factory=list)
     """Line of each row, by block."""
-
-    def line(self, row: int) -> int:
-        """Line of a row."""
-        return next(islice((line for lines in self.lines for line in lines), row, None), 0)
+    texts: set[int] = field(default_factory=set)
+    """Columns that are no plain numbers."""
 
 
 def text_columns(path: Path) -> Columns:
@@ -112,10 +131,9 @@ def text_columns(path: Path) -> Columns:
     encoding = _encoding(head)
     lines = head.decode(encoding, errors="replace").splitlines()
     style = style_of(lines[:-1] if len(head) == 1 << 16 else lines)
-    texts: set[tuple[int, int]] = set()  # part and column
-    parts, notes, whole = _parts(path, encoding, style, texts)
+    parts, notes, whole = _parts(path, encoding, style, [])
     if not whole:  # a later block has shown that the cells of a column are no plain numbers
-        parts, notes, _ = _parts(path, encoding, style, texts)
+        parts, notes, _ = _parts(path, encoding, style, [part.texts for part in parts])
     found = merge_parts(_columns(part, style) for part in parts)
     found.notes[:0] = notes
     set_day_units(found)
@@ -141,40 +159,22 @@ def _encoding(head: bytes) -> str:
 
 
 def style_of(lines: list[str]) -> Style:
-    """Return the separator and decimal sign with which most cells of the last 200 lines parse as numbers."""
-    last = [line for line in lines[-200:] if line.strip()]
+    """Return the separator and decimal sign with which most cells of the last lines parse as numbers."""
+    last = [line for line in lines[-_LAST_ROWS:] if line.strip()]
     best, most = Style(",", ".", certain=False), -1
     for decimal, other in (".,", ",."):
         plain = re.compile(_PLAIN[decimal], re.IGNORECASE)
         for separator in (";", "\t", _BLANKS, ",", "|"):
-            rows = (_cells(line, separator) for line in last if separator != _BLANKS or not re.search("[;\t|]", line))
+            tried = Style(separator, decimal, certain=False)
+            rows = (tried.cells(line) for line in last if separator != _BLANKS or not re.search("[;\t|]", line))
             cells = [cell for row in rows if len(row) > 1 for cell in row if cell and len(cell) < 100]
-            numbers = [cell for cell in cells if _is_number(cell, decimal)]
+            numbers = [cell for cell in cells if tried.number(cell)]
             score = sum(3 if plain.fullmatch(cell) else 1 if " " in cell else 2 for cell in numbers) - len(cells)
             if numbers and score > most:
                 strict = (cell for cell in numbers if _NUMBER[decimal].fullmatch(cell))
-                best = Style(separator, decimal, any(not _NUMBER[other].fullmatch(cell) for cell in strict))
+                best = tried._replace(certain=any(not _NUMBER[other].fullmatch(cell) for cell in strict))
                 most = score
     return best
-
-
-def _cells(record: str, separator: str) -> list[str]:
-    record = record.replace("\0", "")
-    if separator == _BLANKS:
-        return record.split()
-    csv.field_size_limit(1 << 24)
-    cells = next(csv.reader([record], delimiter=separator, skipinitialspace=True), [])
-    return [" ".join(cell.split("\n")).strip() for cell in cells]
-
-
-def _is_number(cell: str, decimal: str) -> bool:
-    return bool(_NUMBER[decimal].fullmatch(cell)) or (decimal == "," and bool(_NUMBER["."].fullmatch(cell)))
-
-
-def _mostly_numbers(row: list[str], decimal: str) -> bool:
-    cells = [cell for cell in row if cell]
-    numbers = sum(len(one) < 100 and (_is_number(one, decimal) or bool(re.search(_CLOCK, one))) for one in cells)
-    return len(row) > 1 and numbers > 0 and 2 * numbers > len(cells)
 
 
 # --- headers -------------------------------------------------------------------------------------------------------
@@ -182,48 +182,49 @@ def _mostly_numbers(row: list[str], decimal: str) -> bool:
 
 def header_of(records: list[str], style: Style) -> Header:
     """Header above the first row of numbers. Raises ValueError without one, or if decimal commas split cells."""
-    rows = [_cells(record, style.separator) for record in records]
+    rows = [style.cells(record) for record in records]
 
     def lead(at: int) -> int:
         """Return 1 if a row begins with a key and the next with an empty cell, else 0."""
-        keyed = any(rows[at][:1]) and not _is_number(rows[at][0], style.decimal)
+        keyed = any(rows[at][:1]) and not style.number(rows[at][0])
         return int(keyed and (at + 1 >= len(rows) or rows[at + 1][:1] == [""]))
 
     def numbers_begin(at: int) -> bool:
         below = [row for row in rows[at + 1 : at + 5] if any(row)]
-        return all(_mostly_numbers(row, style.decimal) for row in (rows[at][lead(at) :], *below))
+        return all(map(style.row, (rows[at][lead(at) :], *below)))
 
     # ControlDesk's key of the first row of numbers: rows above it may hold numbers too (flags, limits)
     marked = [k for k, row in enumerate(rows) if row and row[0].lower() == "trace_values"]
     first = marked[0] if marked else next(filter(numbers_begin, range(len(rows))), None)
     if first is None:
         raise ValueError("there is no row of two numbers or more in it")
-    rows_above = [
-        k
-        for k, row in enumerate(rows[:first] if not marked else [])
-        if len(row) == len(rows[first]) and _is_number(row[0], style.decimal) and _mostly_numbers(row, style.decimal)
-    ]
-    if len(rows_above) > 5:  # remarks between all rows: these are no header
-        first = rows_above[0]
-    body = rows[first][lead(first) :]
+    alike = [k for k, row in enumerate(rows[:first]) if len(row) == len(rows[first]) and style.number(row[0])]
+    alike = [k for k in alike if not marked and style.row(rows[k])]
+    if len(alike) > 5:  # remarks between all rows: these are no header
+        first = alike[0]
+    begin = lead(first)
+    body = rows[first][begin:]
     ends_empty = all(not row or row[-1] == "" for row in rows[first:])  # a separator behind which nothing stands
     width = len(body) - (len(body) > 2 and ends_empty)
-    above = _header_rows(records[:first], rows[:first], width, style.separator)
-    words = [row for row in above if not any(_is_number(cell, ".") for cell in row)]
+    above = _header_rows(records[:first], [row[begin:] for row in rows[:first]], width, style.separator)
+    words = [row for row in above if not any(map(style.number, row))]
     if style[:2] == (",", ".") and any(width == 2 * len(row) for row in words):
         raise ValueError(
             f"line {first + 1} has {width} cells under half as many names: write decimal points, or semicolons between "
             "the columns"
         )
-    names, units = _names_and_units(above, width, keyed=bool(lead(first)))
+    pairs = any(row[0].lower() == "name" and row.count(row[0]) > 1 for row in above)  # a key, repeated for each clock
+    names, units = _names_and_units(above, width, pairs=pairs)
     named, width = any(names), max(width, len(names))
-    names = [name.lstrip("#% ") or f"column {k}" for k, name in enumerate([*names, *[""] * (width - len(names))])]
-    units = [*units[:width], *[""] * (width - len(units))]
+    names, units = ([*some, *[""] * width][:width] for some in (names, units))
+    unnamed = "time" if named and (pairs or begin) else "column {}"
+    names = [name.lstrip("#% ") or unnamed.format(k) for k, name in enumerate(names)]
     units = [stated(unit) or split_unit(name)[1] for name, unit in zip(names, units, strict=True)]
     distinct: dict[str, None] = {}
     for name in names:
         distinct[unique(name, distinct)] = None
-    return Header(first, lead(first), tuple(distinct), named, tuple(units), *stated_step(_properties(above)))
+    step = stated_step(_properties([row for row in rows[:first] if any(row)] if begin else above))
+    return Header(first, begin, len(rows[first]), tuple(distinct), named, tuple(units), *step)
 
 
 def _header_rows(records: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
@@ -251,32 +252,22 @@ def _properties(above: list[list[str]]) -> Iterator[tuple[str, str]]:
             beside = row[j] or beside
 
 
-def _names_and_units(above: list[list[str]], width: int, *, keyed: bool) -> tuple[list[str], list[str]]:
-    """Names and units, as far as there are any: from rows that begin with a key, else from rows as wide."""
-    if any(row[0].lower() in _NAME_KEYS and row[0] in row[1:] for row in above):  # a key repeated for each clock
-        clock = dict.fromkeys(_UNIT_KEYS, "ms")
-        above = [
-            [row[0], *(clock.get(row[0].lower(), "") if cell == row[0] else cell for cell in row)] for row in above
-        ]
-        keyed = True
-    if keyed:
-        by_key = {row[0].lower().strip("[]:"): row[1:] for row in above if row[0]}
-        there = [by_key[key] for key in _NAME_KEYS if any(by_key.get(key, ()))]
-        names = max(there, key=lambda names: len(set(names)), default=[])
-        names = [name or "time" for name in [*names, *[""] * (width - len(names))][:width]] if names else names
-        units = next((by_key[key] for key in _UNIT_KEYS if any(by_key.get(key, ()))), [])
-    else:  # the last row in which most cells differ
-        wide = [row for row in reversed(above) if width <= len(row) <= width + 3]
-        units = next(filter(_are_units, wide), []) if len(wide) > 1 else []
-        names = max((row for row in wide if row is not units), key=lambda row: len(set(row[:width])), default=[])
+def _names_and_units(above: list[list[str]], width: int, *, pairs: bool) -> tuple[list[str], list[str]]:
+    """Names and units, as far as there are any: the row with most units, and of the others that with most names."""
+    wide = [row for row in reversed(above) if width <= len(row) <= width + 3]
+    if pairs:
+        wide = [["" if cell == row[0] else cell for cell in row] for row in wide]
+    units = next(filter(_are_units, wide), []) if len(wide) > 1 else []
+    names = max((row for row in wide if row is not units), key=lambda row: len(set(row[:width])), default=[])
     while names and not names[-1]:
         names = names[:-1]
-    return names, units
+    return names, [unit or "ms" for unit in units] if pairs else units
 
 
 def _are_units(row: list[str]) -> bool:
     """Return whether the cells of a row are units: most are known, or all are in brackets."""
-    cells = [cell for cell in row if cell and cell not in ("-", "[-]") and not _is_number(cell, ",")]
+    number = Style("", ",", certain=False).number
+    cells = [cell for cell in row if cell and cell not in ("-", "[-]") and not number(cell)]
     if not cells:
         return not any(row)
     bracketed = all(cell[0] + cell[-1] in ("[]", "()") for cell in cells)
@@ -285,90 +276,100 @@ def _are_units(row: list[str]) -> bool:
 
 # --- records -------------------------------------------------------------------------------------------------------
 
+_Lines = list[tuple[int, str]]
+"""Lines with their numbers, from 1."""
 
-def _records(path: Path, encoding: str, style: Style) -> Iterator[tuple[Sequence[int], list[str]]]:
-    """Yield blocks of records, each with the line on which it begins."""
+
+def _records(path: Path, encoding: str, style: Style, left: dict[str, _Lines]) -> Iterator[tuple[Sequence[int], list[str]]]:
+    """Yield blocks of records, each with the line on which it begins; a last row that is cut is added to `left`."""
+    at, rest, recent = 1, "", list[str]()
     with path.open(encoding=encoding, errors="replace") as file:
-        at, rest, ended = 1, "", False
-        while not ended:
-            text = file.read(1 << 22)
-            ended, lines = not text, (rest + text).split("\n")
-            rest = "" if ended else lines.pop()
+        for text in chain(iter(partial(file.read, 1 << 22), ""), [""]):
+            lines = (rest + text).split("\n")
+            rest = lines.pop() if text else ""
             if len(rest) > 1 << 24:
                 raise ValueError(f"line {at + len(lines)} is longer than 16 MB: it is no table")
-            if '"' not in text and '"' not in rest and not any('"' in line for line in lines[:_MAX_LINES]):
-                yield range(at, at + len(lines)), lines
-                at += len(lines)
-                continue
-            numbers, records, k = [], [], 0
-            while k < len(lines):
-                if '"' in lines[k] and lines[k].count('"') % 2 and style.separator != _BLANKS:
-                    if k + _MAX_LINES > len(lines) and not ended:
-                        rest = "\n".join([*lines[k:], rest])
-                        break
-                    n_lines = _open_lines(lines[k : k + _MAX_LINES], style)
-                else:
-                    n_lines = 1
-                numbers.append(at + k)
-                records.append("\n".join(lines[k : k + n_lines]) if n_lines > 1 else lines[k])
-                k += n_lines
+            if not text and lines[0] and _is_cut(lines[0], recent, style):  # alone, for no line break ends it
+                left[_CUT] = [(at, lines[0])]
+                return
+            numbers, records = range(at, at + len(lines)), lines
+            at += len(lines)
+            if style.separator != _BLANKS and any(line.count('"') % 2 for line in lines):
+                numbers, records, is_open = [], [], False
+                for number, line in enumerate(lines, at - len(lines)):
+                    if is_open and number - numbers[-1] < _MAX_LINES and not style.row(style.cells(line)):
+                        records[-1] += f"\n{line}"
+                    else:
+                        numbers.append(number)
+                        records.append(line)
+                        is_open = False
+                    is_open ^= line.count('"') % 2 == 1
+                if is_open and text:
+                    at, rest = numbers.pop(), f"{records.pop()}\n{rest}"
             yield numbers, records
-            at += k
+            recent = records[-_LAST_ROWS:]
 
 
-def _open_lines(lines: list[str], style: Style) -> int:
-    """Lines of a record whose first line opens a quote: up to the one that closes it; 1 if rows of numbers precede."""
-    for k, line in enumerate(lines[1:], 2):
-        if _mostly_numbers(_cells(line, style.separator), style.decimal):
-            break
-        if line.count('"') % 2:
-            return k
-    return 1
+def _is_cut(last: str, recent: list[str], style: Style) -> bool:
+    """Return whether a row that no line break ends was cut: fewer cells, a shorter number, or an unlikely jump."""
+    cells, rows = style.cells(last), [row for row in map(style.cells, recent) if style.row(row)]
+    lengths = [len(row) for row in rows]
+    width = max(lengths, key=lengths.count, default=0)
+    rows = [row for row in rows if len(row) == width and row[-1]]
+    if _WORDS.match(last) or not rows:
+        return False
+    if len(cells) < width or len(cells[-1]) < min(len(row[-1]) for row in rows):
+        return True
+    ends = numbers_of(pd.Series([*(row[-1] for row in rows), cells[-1]], dtype=object), style.decimal)[0]
+    steps = np.abs(np.diff(ends))
+    return bool(len(steps) > 1 and not steps[-1] <= 3.0 * np.nanmax(steps[:-1], initial=0.0))
 
 
-def _parts(path: Path, encoding: str, style: Style, texts: set[tuple[int, int]]) -> tuple[list[_Part], list[str], bool]:
+def _parts(
+    path: Path, encoding: str, style: Style, texts: list[set[int]]
+) -> tuple[list[_Part], list[str], bool]:
     """Parts of a file, notes on what was not read, and whether all blocks of each column are of one type.
 
-    Columns that are no plain numbers are added to `texts`.
+    `texts`: columns of each part that are known to be no plain numbers.
     """
     parts: list[_Part] = []
-    left: dict[str, list[tuple[int, str]]] = {}  # lines left out, by reason
-    words: list[tuple[int, str]] = []  # since the last row
+    left: dict[str, _Lines] = {}  # by reason
+    words: _Lines = []  # since the last row
     whole = True
-    for lines, records in _records(path, encoding, style):
-        begin = 0
+
+    def begin(header: Header) -> None:
+        known_texts = texts[len(parts)] if len(texts) > len(parts) else set()
+        known_texts |= set() if style.certain else set(range(len(header.names)))
+        parts.append(_Part(header, [[] for _ in header.names], texts=known_texts))
+
+    for lines, records in _records(path, encoding, style, left):
         if not parts:
-            header = header_of(records[:400], style)
-            begin = header.n_records
-            parts.append(_Part(header, [[] for _ in header.names]))
-        worded_rows = [_is_words(record, style) for record in records[begin:]]
-        for worded, run in groupby(worded_rows):
-            end = begin + len(list(run))
-            those, numbers, begin = records[begin:end], lines[begin:end], end
-            if worded:
-                words += zip(numbers, those, strict=True)
+            begin(header_of(records[:400], style))
+            lines, records = lines[parts[0].header.n_records :], records[parts[0].header.n_records :]
+        part = parts[-1]
+        if not words and not any(map(_WORDS.match, records)):
+            with suppress(pa.ArrowInvalid):
+                _add(part, lines, _numbers(records, part, style))
                 continue
-            if words:
-                below = _header_below([one for _, one in words], those, style)
-                if below is not None and below.named and _is_header(below, parts[-1].header):
-                    parts.append(_Part(below, [[] for _ in below.names]))
-                else:
-                    left.setdefault("hold words: their neighbours were joined", []).extend(words)
-                words = []
-            part, index = parts[-1], len(parts) - 1
-            numbers, those = _fitted(numbers, those, part.header, style, left)
-            if those:
-                known_texts = {k for k in range(len(part.columns)) if (index, k) in texts or not style.certain}
-                for k, column in enumerate(_parsed(those, part.header, style, known_texts)):
-                    if pa.types.is_string(column.type) and k not in known_texts:
-                        texts.add((index, k))
-                        whole = whole and not part.columns[k]
-                    part.columns[k].append(column)
-                part.lines.append(numbers)
+        for worded, run in groupby(zip(lines, records, strict=True), lambda one: _is_words(one[1], style)):
+            if worded:
+                words += run
+                continue
+            some = list(run)
+            below = _header_below(words, [record for _, record in some], parts[-1].header, style)
+            if below is not None:
+                begin(below)
+            elif words:
+                left.setdefault(_REMARK, []).extend(words)
+            words, part = [], parts[-1]
+            fitted = list(_fitted(some, part.header, style, left))
+            rows = [row for _, row in fitted]
+            if rows:
+                whole &= _add(part, [line for line, _ in fitted], _numbers(rows, part, style, fallback=True))
     if not parts:
         raise ValueError("there is no row of two numbers or more in it")
     if words:
-        left.setdefault("hold words: their neighbours were joined", []).extend(words)
+        left.setdefault(_REMARK, []).extend(words)
     short = [line for line, _ in left.pop(_SHORT, ()) if line < max((one[-1] for one in parts[-1].lines), default=0)]
     if short:
         raise ValueError(
@@ -381,69 +382,53 @@ def _parts(path: Path, encoding: str, style: Style, texts: set[tuple[int, int]])
     return parts, notes, whole
 
 
-_SHORT = "have fewer numbers than the others"
-
-
 def _is_words(record: str, style: Style) -> bool:
-    return _WORDS.match(record) is not None and not _mostly_numbers(_cells(record, style.separator), style.decimal)
+    return _WORDS.match(record) is not None and not style.row(style.cells(record))
 
 
-def _header_below(words: list[str], rows: list[str], style: Style) -> Header | None:
-    """Header of words above rows of numbers, None if they are remarks."""
-    try:
-        header = header_of([*words, *rows[:5]], style)
-    except ValueError:
+def _header_below(words: _Lines, rows: list[str], above: Header, style: Style) -> Header | None:
+    """Header of words above rows of numbers, None if they are remarks: it names columns, or another number of them."""
+    header = None
+    with suppress(ValueError):
+        header = header_of([*(word for _, word in words), *rows[:5]], style) if words else None
+    if header is None or header.n_records != len(words) or not header.named:
         return None
-    return header if header.n_records == len(words) else None
-
-
-def _is_header(header: Header, above: Header) -> bool:
-    """Return whether words are the header of another part: it names columns of the part above, or another number."""
     names, others = ({split_unit(name)[0] for name in one.names} for one in (header, above))
-    return bool(names & others) or len(names) != len(others)
+    return header if names & others or len(names) != len(others) else None
 
 
-def _fitted(
-    lines: Sequence[int], rows: list[str], header: Header, style: Style, left: dict[str, list[tuple[int, str]]]
-) -> tuple[Sequence[int], list[str]]:
-    """Lines and records of the rows with as many cells as the header: filled up with empty ones, or left out."""
-    sign, n_signs = style.separator, header.lead + len(header.names) - 1
-    if sign == _BLANKS:
-        sign, rows = " ", [" ".join(row.split()) for row in rows]
-    counts = [row.count(sign) for row in rows]
-    if counts.count(n_signs) == len(rows) and not any('"' in row for row in rows):
-        return lines, rows
-    kept: list[int] = []
-    fitted: list[str] = []
-    for line, row, count in zip(lines, rows, counts, strict=True):
-        cells = _cells(row, sign) if '"' in row else []
-        count = len(cells) - 1 if cells else count
-        if not row.strip():
+def _fitted(rows: _Lines, header: Header, style: Style, left: dict[str, _Lines]) -> Iterator[tuple[int, str]]:
+    """Yield rows with as many cells as the header's, filled up with empty ones; others are added to `left`."""
+    sign, width = style.separator, header.n_cells
+    for line, row in rows:
+        if sign != _BLANKS and '"' not in row and row.count(sign) == width - 1:
+            yield line, row
             continue
-        if row.count('"') % 2 and sign != " ":
-            left.setdefault("open a quote that nothing closes: they were left out", []).append((line, row))
-            continue
-        if count > n_signs:
-            cells = cells or row.split(sign)
-            if any(cell.strip() for cell in cells[n_signs + 1 :]):
-                reason = f"have more cells than the {len(header.names)} of their header: they were left out"
-                left.setdefault(reason, []).append((line, row))
-                continue
-            row = sign.join(f'"{cell}"' if sign in cell else cell for cell in cells[: n_signs + 1])
-        elif count < n_signs and sign == " ":
+        cells = style.cells(row)
+        if sign != _BLANKS and row.count('"') % 2:
+            left.setdefault(_OPEN, []).append((line, row))
+        elif any(cells[max(width, header.lead + len(header.names)) :]):
+            reason = f"have more cells than the {len(header.names)} of their header: they were left out"
+            left.setdefault(reason, []).append((line, row))
+        elif sign == _BLANKS and 0 < len(cells) < width:
             left.setdefault(_SHORT, []).append((line, row))
-            continue
-        kept.append(line)
-        fitted.append(row + sign * (n_signs - count))
-    return kept, fitted
+        elif row.strip():
+            cells = [f'"{cell}"' if sign in cell else cell for cell in [*cells, *[""] * width][:width]]
+            yield line, (" " if sign == _BLANKS else sign).join(cells)
 
 
-def _parsed(rows: list[str], header: Header, style: Style, texts: set[int]) -> list[pa.ChunkedArray]:
-    """Columns of rows: numbers, but texts if they are in `texts` or hold a cell that is no plain number."""
-    names = [str(k - header.lead) for k in range(header.lead + len(header.names))]
-    data = "\n".join(rows).replace("\0", "").encode()
-    read = pyarrow_csv.ReadOptions(column_names=names, block_size=max(1 << 20, 4 * max(map(len, rows))))
+def _numbers(rows: list[str], part: _Part, style: Style, *, fallback: bool = False) -> list[pa.ChunkedArray]:
+    """Columns of rows with as many cells as the header's: numbers, or texts of those that hold no plain numbers.
+
+    Raises pyarrow.ArrowInvalid on others, unless `fallback` adds their columns to the texts.
+    """
+    names = list(map(str, range(part.header.n_cells)))
+    wanted = dict.fromkeys(names[part.header.lead :][: len(part.columns)], pa.float64())
+    wanted |= dict.fromkeys([name for name in wanted if int(name) - part.header.lead in part.texts], pa.string())
     sign = " " if style.separator == _BLANKS else style.separator
+    rows = [" ".join(row.split()) for row in rows] if sign == " " else rows
+    data = "\n".join(rows).replace("\0", "").encode()
+    read = pyarrow_csv.ReadOptions(column_names=names, block_size=max(1 << 20, 4 * max(map(len, rows), default=0)))
     parse = pyarrow_csv.ParseOptions(
         delimiter=sign, newlines_in_values=b'"' in data, quote_char=False if sign == " " else '"'
     )
@@ -451,24 +436,36 @@ def _parsed(rows: list[str], header: Header, style: Style, texts: set[int]) -> l
     def table(types: dict[str, pa.DataType]) -> pa.Table:
         convert = pyarrow_csv.ConvertOptions(
             column_types=types, null_values=_NULLS, strings_can_be_null=True, decimal_point=style.decimal,
-            include_columns=names[header.lead :],
+            include_columns=list(wanted),
         )  # fmt: skip
-        return pyarrow_csv.read_csv(pa.BufferReader(data), read, parse, convert)
+        found = pyarrow_csv.read_csv(pa.BufferReader(data), read, parse, convert)
+        if found.num_rows != len(rows):  # blank lines
+            raise pa.ArrowInvalid
+        return found
 
-    wanted = {name: pa.string() if int(name) in texts else pa.float64() for name in names[header.lead :]}
     try:
         return table(wanted).columns
     except pa.ArrowInvalid:
-        pass
+        if not fallback:
+            raise
     cells = table(dict.fromkeys(wanted, pa.string()))
-    found = []
     for name, kind in wanted.items():
         with suppress(pa.ArrowInvalid):
             if kind == pa.float64() and style.decimal == ".":
-                found.append(cells.column(name).cast(kind))
-                continue
-        found.append(cells.column(name))
-    return found
+                cells = cells.set_column(cells.column_names.index(name), name, cells.column(name).cast(kind))
+    return cells.columns
+
+
+def _add(part: _Part, lines: Sequence[int], columns: list[pa.ChunkedArray]) -> bool:
+    """Add rows to a part; returns False if a column is no longer of one type."""
+    whole = True
+    for k, column in enumerate(columns):
+        if pa.types.is_string(column.type) and k not in part.texts:
+            part.texts.add(k)
+            whole &= not part.columns[k]
+        part.columns[k].append(column)
+    part.lines.append(lines)
+    return whole
 
 
 # --- numbers -------------------------------------------------------------------------------------------------------
@@ -476,18 +473,19 @@ def _parsed(rows: list[str], header: Header, style: Style, texts: set[int]) -> l
 
 def _columns(part: _Part, style: Style) -> Columns:
     """Columns of a part; the memory of its blocks is released."""
-    found, numbers = Columns(), []
+    found, numbers, length = Columns(), [], sum(map(len, part.lines))
     for k, name in enumerate(part.header.names):
         blocks, part.columns[k] = part.columns[k], []
-        if not any(pa.types.is_string(block.type) for block in blocks):
-            numbers.append(np.concatenate([block.to_numpy() for block in blocks] or [np.empty(0)]))
+        if k not in part.texts or not blocks:
+            numbers.append(np.concatenate([block.to_numpy() for block in blocks]) if blocks else np.full(length, np.nan))
             continue
         cells = pd.Series(np.concatenate([block.to_numpy() for block in blocks]), dtype=object)
         values, bad = numbers_of(cells, style.decimal, certain=style.certain)
         numbers.append(values)
         if bad is not None:
+            line = next(islice(chain.from_iterable(part.lines), bad, None))
             found.broken[name] = (
-                f"{str(cells[bad])[:40]!r} in line {part.line(bad)} of {name!r} is not a number as the others of its "
+                f"{str(cells[bad])[:40]!r} in line {line} of {name!r} is not a number as the others of its "
                 "column are: write it as they are, or leave the cell empty"
             )
         given = cells.dropna()
@@ -505,7 +503,7 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, certain: bool = True) ->
 
     The format is the first that fits all cells: `decimal` with thousands, the other decimal sign, times of day [s].
     Unless `decimal` is `certain`, a column is rejected in which the two signs give different numbers in some cells
-    only. The index is None if all cells, all but the last, or none can be parsed.
+    only. The index is None if all cells or none can be parsed.
     """
     if cells.dtype != object:
         return cells.to_numpy(dtype=np.float64), None
@@ -529,7 +527,7 @@ def numbers_of(cells: pd.Series, decimal: str = ".", *, certain: bool = True) ->
     times = _times_of_day(text)
     fits, values = max([*read, (np.isfinite(times), times)], key=lambda one: int(np.sum(one[0] & given)))
     bad = np.flatnonzero(given & ~fits)
-    if not len(bad) or (np.any(fits & given) and bad[0] == len(text) - 1):  # the file was cut off in it
+    if not len(bad):
         return values, None
     return np.full(len(text), np.nan), int(bad[0]) if np.any(fits & given) else None
 
@@ -551,7 +549,7 @@ def _times_of_day(text: pd.Series) -> FloatArray:
 
 
 def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
-    """Add the columns of a block; a time column is the clock of those to its right, and is added once."""
+    """Add the columns of a part; a time column is the clock of those to its right, and is added once."""
     series, clocks = found.series, found.clocks
     times = [k for k, name in enumerate(header.names) if is_time(name, columns[k][_filled(columns[k])])]
     clock = ""
