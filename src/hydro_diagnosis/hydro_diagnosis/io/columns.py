@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass, field
 from itertools import count, takewhile
 from operator import eq
@@ -137,30 +137,38 @@ def merge_parts(parts: Iterable[Columns]) -> Columns:
     A column that a part lacks is NaN there; units are converted. Parts whose time begins again, or without a column in
     common, add columns of their own, numbered where a name repeats. Notes report joined and restarted parts.
     """
-    found, last, joined, again, partial = Columns(), Columns(), 0, 0, dict[str, None]()
+    found, last, joined, again, partial = Columns(), dict[str, FloatArray](), 0, 0, dict[str, None]()
     names: dict[str, str] = {}  # of the columns of the recording, by their names without units
     for part in parts:
-        here = _keys(part)
-        keys = {name: key for key, name in here.items()}
-        common = here.keys() & names.keys()
-        if common and here.keys() & _keys(last).keys() and _goes_on(last, part):
-            longer = {}
+        bare = [split_unit(name)[0] for name in part.series]
+        here = {own if bare.count(own) == 1 else name: name for own, name in zip(bare, part.series, strict=True)}
+        series, keys = {key: part.series[name] for key, name in here.items()}, {name: key for key, name in here.items()}
+        clocks = {key: keys[part.clocks[name]] for key, name in here.items() if name in part.clocks}
+        common = series.keys() & names.keys()
+        if common and _goes_on(last, series, set(clocks.values())):
+            above = {key: found.series[name] for key, name in names.items()}
             for key in dict.fromkeys((*names, *here)):
-                partial.update(dict.fromkeys([names.get(key) or here[key]] * (key not in common)))
-                names[key], values = _joined(found, names, key, part, here)
-                longer[names[key]] = values
-            found.series.update(longer)
+                one, other = (
+                    some[key] if key in some else np.full(len(some.get(clocks.get(key, ""), next(iter(some.values())))), np.nan)
+                    for some in (above, series)
+                )
+                if key in common:
+                    other = _converted(other, part.unit(here[key]), found, names[key])
+                else:
+                    names.setdefault(key, found.add(here[key], one, part.units.get(here[key], "")) if key in here else "")
+                    partial[names[key]] = None
+                found.series[names[key]] = np.concatenate([one, other])
             joined += 1
         else:
             again += bool(common)
             names = {key: found.add(name, part.series[name], part.units.get(name, "")) for key, name in here.items()}
-        found.clocks.update({names[keys[name]]: names[keys[clock]] for name, clock in part.clocks.items()})
+        found.clocks.update({names[key]: names[clock] for key, clock in clocks.items()})
         found.other.extend(name for name in part.other if name not in found.other)
         found.notes.extend(note for note in part.notes if note not in found.notes)
-        found.broken.update(part.broken)
-        found.unsure.update(part.unsure)
+        for mine, others in zip((found.broken, found.unsure), (part.broken, part.unsure), strict=True):
+            mine.update(others)
         found.constants.update(part.constants)
-        last = part
+        last = series
     if joined:
         found.notes.append(f"it was begun anew {joined} times: the parts were joined by their times and names")
     if partial:
@@ -170,43 +178,24 @@ def merge_parts(parts: Iterable[Columns]) -> Columns:
     return found
 
 
-def _keys(part: Columns) -> dict[str, str]:
-    """Columns by their names without units, in full where two differ in nothing else."""
-    bare = [split_unit(name)[0] for name in part.series]
-    return {own if bare.count(own) == 1 else name: name for own, name in zip(bare, part.series, strict=True)}
+def _converted(values: FloatArray, unit: str, found: Columns, name: str) -> FloatArray:
+    """Values of a part in the unit of the column above; a column of another quantity is broken."""
+    if (above := found.unit(name)) != unit:
+        if not quantity(above) or quantity(above) != quantity(unit):
+            found.broken[name] = f"{name!r} is in {above or 'no unit'}, and further on in {unit or 'none'}"
+            return values
+        values = values * (to_si(unit) / to_si(above))
+        found.notes.append(f"{name!r} goes on in {unit}: it was converted to {above}")
+    return values
 
 
-def _joined(
-    found: Columns, names: Mapping[str, str], key: str, part: Columns, here: Mapping[str, str]
-) -> tuple[str, FloatArray]:
-    """Name and values of a column with a part's: in the unit of those above, NaN where one of both lacks it."""
-    name, add = names.get(key, ""), here.get(key, "")
-
-    def missing(columns: Columns, names: Mapping[str, str], clock: str) -> FloatArray:
-        """Return NaN for each time of a clock, or row."""
-        rows = columns.series.get(names.get(split_unit(clock)[0], ""), next(iter(columns.series.values())))
-        return np.full(len(rows), np.nan)
-
-    above = found.series[name] if name else missing(found, names, part.clocks.get(add, ""))
-    below = part.series[add] if add else missing(part, here, found.clocks.get(name, ""))
-    if name and add and (units := (found.unit(name), part.unit(add)))[0] != units[1]:
-        if not quantity(units[0]) or quantity(units[0]) != quantity(units[1]):
-            found.broken[name] = f"{name!r} is in {units[0] or 'no unit'}, and further on in {units[1] or 'none'}"
-        else:
-            below = below * (to_si(units[1]) / to_si(units[0]))
-            found.notes.append(f"{name!r} goes on in {units[1]}: it was converted to {units[0]}")
-    return name or found.add(add, above, part.units.get(add, "")), np.concatenate([above, below])
-
-
-def _goes_on(above: Columns, below: Columns) -> bool:
+def _goes_on(above: Mapping[str, FloatArray], below: Mapping[str, FloatArray], clocks: Set[str]) -> bool:
     """Return whether the times of `below` continue those of `above`: all clocks, else a time column or the first."""
-    bare = {split_unit(name)[0]: values for name, values in below.series.items()}
-    named = (name for name, values in above.series.items() if is_time(name, values))
-    clocks = set(above.clocks.values()) or {next(named, next(iter(above.series)))}
-    if any(split_unit(clock)[0] not in bare for clock in clocks):
+    named = (name for name, values in above.items() if is_time(name, values))
+    clocks = clocks or {next(named, next(iter(above), ""))}
+    if any(clock not in above or clock not in below for clock in clocks):
         return False
-    ends = [(above.series[clock], bare[split_unit(clock)[0]]) for clock in clocks]
-    ends = [(one[np.isfinite(one)], other[np.isfinite(other)]) for one, other in ends]
+    ends = [[one[np.isfinite(one)] for one in (above[clock], below[clock])] for clock in clocks]
     return all(len(a) and len(b) and runs_forward(a, ticks=True) and b[0] >= a[-1] for a, b in ends)
 
 

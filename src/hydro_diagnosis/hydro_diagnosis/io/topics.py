@@ -12,6 +12,7 @@ import numpy as np
 from hydro_bridge.bags.recording import STATE_TOPIC, RecordingError, read_bag, read_messages, stream_bag
 from hydro_core.signals import FloatArray
 from hydro_diagnosis.io.columns import Columns
+from hydro_diagnosis.io.formats import Channel, collect
 from hydro_diagnosis.recording import InputError
 
 
@@ -37,27 +38,23 @@ def topic_columns(path: Path) -> Columns:
     """
     try:
         bag = read_bag(path, skip_damaged=True)
-        found, unstamped = Columns(notes=list(bag.notes)), []
+        found, channels, unstamped = Columns(notes=list(bag.notes)), list[Channel](), list[str]()
         for topic, type_name in sorted(bag.topics.items()):
-            table = bag.tables.get(topic)
+            table, stamped = bag.tables.get(topic), not type_name.startswith("std_msgs/")
             if table is not None:
                 columns = {name: np.asarray(table[name], dtype=np.float64) for name in table.dtype.names or ()}
-                stamped = not type_name.startswith("std_msgs/")
             else:
                 columns, stamped = _columns_of_objects(path, topic)
             if len(columns) < 2:
                 found.other.append(topic)
                 continue
-            if not stamped:
-                unstamped.append(topic)
-            for name, values in columns.items():
-                found.series[f"{topic}.{name}"] = values
-                found.clocks[f"{topic}.{name}"] = f"{topic}.time"
-            found.units[f"{topic}.time"] = "s"
-            if type_name == "sensor_msgs/msg/FluidPressure":
-                found.units[f"{topic}.fluid_pressure"] = "Pa"
+            unstamped += [topic] * (not stamped)
+            for name in [name for name in columns if name != "time"]:
+                unit = "Pa" if (type_name, name) == ("sensor_msgs/msg/FluidPressure", "fluid_pressure") else ""
+                channels.append(Channel(f"{topic}.{name}", columns[name], unit, columns["time"], f"{topic}."))
     except RecordingError as error:
         raise InputError(str(error)) from None
+    collect(channels, found)
     if unstamped:
         found.notes.append(f"messages on {', '.join(unstamped)} carry no time: taken is when the recorder got them")
     return found

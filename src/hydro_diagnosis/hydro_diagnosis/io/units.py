@@ -103,27 +103,15 @@ def to_si(unit: str) -> float:
 
 _BRACKETED_UNIT = re.compile(r"\s*(?:\[\s*([^\]]{1,16})\s*\]|\(\s*([^)]{1,16})\s*\))\s*$")
 _TRAILING_UNIT = re.compile(r"(?:\s+in\s+|\s*/\s*)([A-Za-zµ°%][\w°²]{0,6})$")
-_SIMPLE_UNITS = (
-    r"s|ms|us|ns|min|m|mm|cm|um|in|inch|ft|[mukM]?N|daN|lbf|lbs?|kip|kgf|kg|[hkM]?Pa|m?bar|psi|ksi|[mu]?A|m?V|rad|mrad|"
-    r"deg|degC|degF|k?Hz|rpm|lpm|l|L|k?Nm"
+_UNIT_SUFFIX = re.compile(
+    r"_(s|ms|us|ns|m|mm|cm|um|inch|ft|[mukM]?N|daN|lbf|lbs?|kip|kgf|kg|[hkM]?Pa|m?bar|psi|ksi|[mu]?A|m?V|m?rad|deg[CF]?|"
+    r"k?Hz|rpm|lpm|l|k?Nm)(?:_(?:per_)?(s2|s|min|mm2|m2|cm2))?$"
 )
-_UNIT_SUFFIX = re.compile(rf"_({_SIMPLE_UNITS})(?:_(?:per_)?(s2|s|min|mm2|m2|cm2))?$")
-_SUFFIX_COLUMNS = {
-    "s": r"t|time\w*|\w*zeit|stamp|elapsed|clock", "min": r"t|time\w*|\w*zeit|elapsed",
-    "m": r"[xyzsq]|x_?p|pos\w*|\w*weg\w*|hub|stroke|disp\w*|way|travel|length|lvdt",
-    "in": r"[xyzsq]|pos\w*|stroke|disp\w*|travel|length|lvdt",
-    "A": r"i|i_?v\w*|\w*current|cur|\w*strom", "V": r"u|\w*volt\w*|cmd\w*|command|control|signal|spannung",
-    "l": r"vol\w*", "L": r"vol\w*", "a": r"i|\w*current|cur|\w*strom", "b": "",
+_AMBIGUOUS = {
+    "s": r"t|\w*time\w*|\w*zeit|\w*stamp|elapsed|clock", "A": r"i|i_?v\w*|\w*current|cur|\w*strom", "a": "", "b": "", "B": "",
+    "V": r"u|\w*volt\w*|cmd\w*|command|control|signal|spannung", "m": r"[xyzsq]|pos\w*|\w*weg|stroke", "l": r"vol\w*",
 }  # fmt: skip
-"""Suffixes that are more often a chamber, a port or a limit than a unit, with the words next to which they are units.
-"""
-
-
-def _fits(name: str, unit: str) -> bool:
-    words = re.split(r"[\W_]+", name)
-    return unit not in _SUFFIX_COLUMNS or any(
-        re.fullmatch(_SUFFIX_COLUMNS[unit], word, re.IGNORECASE) for word in words if word
-    )
+"""Units that are more often a chamber or a port, with the words next to which they are units."""
 
 
 def split_unit(name: str) -> tuple[str, str]:
@@ -131,15 +119,15 @@ def split_unit(name: str) -> tuple[str, str]:
 
     Text in square brackets is a unit even if unknown, text elsewhere only if known.
     """
-    if found := _BRACKETED_UNIT.search(name):
-        own, round_ = name[: found.start()].strip(), found[2] or ""
-        unit = stated(found[1]) if found[1] else known(round_) if round_ not in "AaBb" or _fits(own, round_) else ""
-        return (own or name, unit) if unit or found[1] else (name, "")
-    if (found := _TRAILING_UNIT.search(name)) and known(found[1]) in (*UNIT_FACTORS, "V"):
-        own = name[: found.start()].strip()
-        return (own, known(found[1])) if own and _fits(own, found[1]) else (name, "")
-    if found := _UNIT_SUFFIX.search(name):
-        own, over = name[: found.start()], found[2]
-        unit = known(f"{found[1]}/{over}" if over else found[1])
-        return (own, unit) if own and unit and (over or _fits(own, found[1])) else (name, "")
-    return name, ""
+    bracketed, trailing, suffix = (one.search(name) for one in (_BRACKETED_UNIT, _TRAILING_UNIT, _UNIT_SUFFIX))
+    if (found := bracketed or trailing or suffix) is None:
+        return name, ""
+    own, text = name[: found.start()].strip(), found[1] or found[2]
+    if bracketed and found[1]:
+        return own or name, stated(text)
+    if text in _AMBIGUOUS and not (found is suffix and found[2]):
+        words = re.split(r"[\W_]+", own)
+        text = text if any(re.fullmatch(_AMBIGUOUS[text], word, re.I) for word in words if word) else ""
+    unit = known(f"{text}/{found[2]}" if found is suffix and found[2] else text)
+    plain = found is not trailing or unit in (*UNIT_FACTORS, "V")
+    return (own or name, unit) if unit and (own or bracketed) and plain else (name, "")
