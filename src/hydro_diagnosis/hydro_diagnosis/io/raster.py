@@ -11,9 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_core.signals import FloatArray
-from hydro_diagnosis.io.column_map import ColumnMap
-from hydro_diagnosis.io.columns import Columns, median_step
-from hydro_diagnosis.recording import MEASURED_CHANNELS
+from hydro_diagnosis.io.columns import median_step
 
 _MAX_ROWS = 200
 """Largest number of rows from sample to sample."""
@@ -70,28 +68,3 @@ def _period(change: FloatArray, at: npt.NDArray[np.int64]) -> tuple[int, int]:
                 return 0, 0  # a command of few steps or ramps, which rests or goes on evenly between them
             return rows, int(np.argmax(np.bincount(at % rows, energy, rows)))
     return 0, 0
-
-
-def with_rasters(found: Columns, chosen: ColumnMap, notes: list[str]) -> Columns:
-    """Return the columns with those of mapped sensors at their own rows only, by clocks named `CLOCK of FIELD`.
-
-    Columns of equal rows share a clock. Notes name the channels.
-    """
-    series, clocks, units = dict(found.series), dict(found.clocks), dict(found.units)
-    there: dict[bytes, str] = {}
-    mapped = chosen.sources["time"].column if "time" in chosen.sources else ""
-    for field, source in chosen.sources.items():
-        clock = found.clocks.get(source.column) or mapped
-        values, times = found.series.get(source.column), found.series.get(clock)
-        if field not in (*MEASURED_CHANNELS, "valve_current") or values is None or times is None:
-            continue
-        rows, how = own_rows(times, values)
-        if not len(rows) or (field == "valve_current" and np.isfinite(values).all()):
-            continue  # a current is held
-        own = there.setdefault(clock.encode() + rows.tobytes(), f"{clock} of {field}")
-        series[own], series[source.column] = times[rows], values[rows]
-        clocks[source.column] = own
-        if unit := found.unit(clock):
-            units[own] = unit
-        notes.append(f"{field} {how}: it is used at its own {len(rows)} samples")
-    return Columns(series, found.constants, found.other, units, clocks, found.notes, found.broken, found.unsure)
