@@ -3,12 +3,12 @@
 
 ::
 
-    time=t,piston_position=pos[mm],hydraulic_force=vir*gtau,pressure_a=pa[bar]+1,load_force=0
+    time=t,piston_position=pos[mm],hydraulic_force=vir*gtau,pressure_a=pa[bar]+1,load_force=p*-4.9e-4+F
 
 Left of `=`: `time` or a BenchState field. Right: a column; its unit in brackets, if neither SI nor stated by the file;
-operations `*`, `/`, `+` or `-` with numbers, or first `*`, `/` with a named scalar of the file, applied from left to
-right in that unit; `@` and the column's delay (`fl@20ms`). A number alone is a constant, `none` omits the field. A YAML
-file holds the same, one line per field, or the keys column, unit, scale, offset, delay.
+operations `*`, `/`, `+` or `-` with numbers, named scalars or other columns of the file, as these stand in it, applied
+from left to right in that unit; `@` and the column's delay (`fl@20ms`). A number alone is a constant, `none` omits the
+field. A YAML file holds the same, one line per field, or the keys column, unit, scale, offset, delay.
 
 A map without `time` extends the default map: columns named as BenchState fields, at the times that the file states.
 """
@@ -30,15 +30,13 @@ from hydro_core.signals import STATE_FIELDS, FloatArray
 from hydro_diagnosis.io.units import UNIT_FACTORS, known, quantity, to_si
 from hydro_diagnosis.recording import InputError
 
-_SOURCE_PATTERN = re.compile(
-    r"""\s*(?:'(?P<single>[^']+)'|"(?P<double>[^"]+)"|(?P<bare>[^\[\]*/+\-@'"]+?))\s*"""
-    r"""(?:\[(?P<unit>[^\]]*)\]\s*(?P<behind>.*)|(?P<rest>[\[*/+\-].*))?"""
+_SIZE = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+_NAME = r"""\s*(?:'([^']+)'|"([^"]+)"|{})\s*"""
+_SOURCE = re.compile(
+    _NAME.format(r"""([^\[\]*/+\-@'"]+?)""") + rf"(?:\[([^\]]*)\]\s*)?([*/+-].*?)?(?:@\s*({_SIZE})\s*(s|ms|us)\s*)?"
 )
-_STEP_PATTERN = re.compile(
-    r"\s*(?P<sign>[*/+\-])\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?|[A-Za-z_][\w.]*)\s*"
-)
-_DELAY_PATTERN = re.compile(r"\s*@\s*(?P<value>[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*(?P<unit>s|ms|us)\s*$")
-_BARE_NAME_PATTERN = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
+_STEP = re.compile(rf"\s*([*/+-])(?:\s*({_SIZE})\s*|" + _NAME.format(r"([A-Za-z_][\w.]*)") + ")")
+_BARE_NAME = re.compile(r"""[^\[\]*/+\-@'",=#:\s{}]+""")
 """Column name that needs no quotes, neither in a short map nor in YAML."""
 
 
@@ -55,45 +53,49 @@ class Source:
     """In that unit."""
     delay: float = 0.0
     """Delay [s] of the column relative to the others: its value at time t was measured at t - delay."""
-    scalars: tuple[tuple[str, str], ...] = ()
-    """Further factors: a sign (*, /), and the name of a scalar in the file."""
+    steps: tuple[tuple[str, float | str], ...] = ()
+    """Operations before factor and offset: a sign, and a number or the name of another column or a scalar."""
 
     @property
     def plain(self) -> bool:
         """Whether the map states nothing of the column's size, so that the file's unit applies."""
-        return bool(self.column) and (self.unit, self.factor, self.offset, self.scalars) == ("", 1.0, 0.0, ())
+        return bool(self.column) and (self.unit, self.factor, self.offset, self.steps) == ("", 1.0, 0.0, ())
 
     def __str__(self) -> str:
         """Source in the syntax of a short map."""
         if not self.column:
             return f"{self.offset:g}"
-        quoted = self.column if _BARE_NAME_PATTERN.fullmatch(self.column) else f"'{self.column}'"
-        if "'" in self.column:
-            quoted = f'"{self.column}"'
         unit = f"[{self.unit}]" if self.unit else ""
-        scalars = "".join(map("".join, self.scalars))
+        steps = "".join(f"{sign}{_quoted(by) if isinstance(by, str) else f'{by:.9g}'}" for sign, by in self.steps)
         factor = f"*{self.factor:.9g}" if self.factor != 1.0 else ""
         offset = f"{self.offset:+.9g}" if self.offset else ""
         late = f"@{self.delay * 1e3:.9g}ms" if self.delay else ""
-        return f"{quoted}{unit}{scalars}{factor}{offset}{late}"
+        return f"{_quoted(self.column)}{unit}{steps}{factor}{offset}{late}"
 
     def of(self, columns: Mapping[str, FloatArray], constants: Mapping[str, float], length: int) -> FloatArray:
         """Values of the field in SI units: the column's, shape (n,), or of a constant, shape (length,).
 
-        Raises InputError if the file lacks the column, or a scalar of the source; the message lists what it has.
+        Raises InputError if the file lacks a column or scalar of the source; the message lists what it has.
         """
         if self.column and self.column not in columns:
             raise InputError(f"there is no column named {self.column!r}{_instead(self.column, columns)}")
         values = columns[self.column] if self.column else np.zeros(length)
-        factor = self.factor
-        for sign, name in self.scalars:
-            if name not in constants:
-                raise InputError(f"there is no single number named {name!r}{_instead(name, constants)}")
-            factor = factor * constants[name] if sign == "*" else factor / constants[name]
-        values = values * factor if factor != 1.0 else values
-        values = values + self.offset if self.offset else values
-        values = values * to_si(self.unit) if self.unit else values
+        for sign, by in (*self.steps, ("*", self.factor), ("+", self.offset), ("*", to_si(self.unit))):
+            if isinstance(by, str) and by not in constants and len(columns.get(by, ())) != len(values):
+                told = "column of its times" if by in columns else "single number"
+                raise InputError(f"there is no {told} named {by!r}{_instead(by, constants)}")
+            other = constants.get(by, columns.get(by)) if isinstance(by, str) else by
+            if not (isinstance(by, float) and by == (sign in "*/")):  # not by 1, nor plus 0
+                values = _OPERATIONS[sign](values, other)
         return np.ascontiguousarray(values, dtype=np.float64)
+
+
+_OPERATIONS = {"*": np.multiply, "/": np.divide, "+": np.add, "-": np.subtract}
+
+
+def _quoted(name: str) -> str:
+    sign = '"' if "'" in name else "'"
+    return name if _BARE_NAME.fullmatch(name) else f"{sign}{name}{sign}"
 
 
 def source_of(field: str, value: Any) -> Source:
@@ -106,20 +108,19 @@ def source_of(field: str, value: Any) -> Source:
         if not isfinite(number):
             raise InputError(f"columns: {field} = {number} is not a finite number")
         return Source("", offset=number)
-    column, unit, steps, delay = _of_words(field, value) if isinstance(value, Mapping) else _of_text(field, value)
-    if unit is not None and not known(unit):
+    column, unit, steps, delay = (_of_words if isinstance(value, Mapping) else _of_text)(field, value)
+    if unit and not known(unit):
         raise InputError(
             f"columns: {field}: unit {unit!r} is unknown; there are {', '.join(UNIT_FACTORS)}, or give a factor"
         )
-    wanted, unit = QUANTITY_OF.get(field, ""), known(unit or "")
+    wanted, unit = QUANTITY_OF.get(field, ""), known(unit)
     if unit and wanted and quantity(unit) != wanted and not any(sign in "*/" for sign, _ in steps):
         raise InputError(f"columns: {field} is a {wanted}, {unit} is a unit of {quantity(unit)}: give a factor to SI")
-    factor, offset, scalars = 1.0, 0.0, list[tuple[str, str]]()
+    factor, offset, before = 1.0, 0.0, list[tuple[str, float | str]]()
     for sign, by in steps:
-        if isinstance(by, str) and (sign in "+-" or offset):
-            raise InputError(f"columns: {field}: {by!r} is no number: what the file names multiplies, before any sum")
         if isinstance(by, str):
-            scalars.append((sign, by))
+            before += [("*", factor)] * (factor != 1.0) + [("+", offset)] * (offset != 0.0) + [(sign, by)]
+            factor, offset = 1.0, 0.0
         elif sign in "*/":
             by = by if sign == "*" else 1.0 / by if by else np.nan
             factor, offset = factor * by, offset * by
@@ -127,10 +128,10 @@ def source_of(field: str, value: Any) -> Source:
             offset += by if sign == "+" else -by
     if not isfinite(factor) or not isfinite(offset):
         raise InputError(f"columns: {field}: its factor or offset is not a finite number")
-    return Source(column, unit, factor, offset, delay, tuple(scalars))
+    return Source(column, unit, factor, offset, delay, tuple(before))
 
 
-_SourceParts = tuple[str, str | None, list[tuple[str, float | str]], float]
+_SourceParts = tuple[str, str, list[tuple[str, float | str]], float]
 """Column, unit, operations, delay [s]."""
 
 
@@ -140,32 +141,29 @@ def _of_words(field: str, words: Mapping[str, Any]) -> _SourceParts:
         said = f"{unknown[0]!r} is unknown" if unknown else "'column' is missing"
         raise InputError(f"columns: {field}: {said}; there are column, unit, scale, offset, delay")
     for word in ("scale", "offset", "delay"):
-        if words.get(word, 0.0) is None or isinstance(words.get(word), bool):
-            raise InputError(f"columns: {field}: {word} {words[word]!r} is not a number")
+        number = words.get(word, 0.0)
+        if number is None or isinstance(number, bool) or (word == "delay" and not isinstance(_number(number), float)):
+            raise InputError(f"columns: {field}: {word} {number!r} is not a number")
     steps = [(sign, _number(words[word])) for sign, word in (("*", "scale"), ("+", "offset")) if word in words]
-    delay = _number(words.get("delay", 0.0))
-    if not isinstance(delay, float) or not isfinite(delay):
-        raise InputError(f"columns: {field}: delay {words['delay']!r} is not a number of seconds")
-    return str(words["column"]), str(words["unit"]) if "unit" in words else None, steps, delay
+    return str(words["column"]), str(words.get("unit", "")), steps, float(words.get("delay", 0.0))
 
 
 def _of_text(field: str, text: str) -> _SourceParts:
-    late = _DELAY_PATTERN.search(text)
-    found = _SOURCE_PATTERN.fullmatch(text[: late.start()] if late else text)
+    found = _SOURCE.fullmatch(text)
     if found is None:
         raise InputError(
             f"columns: {field}={text} is not COLUMN[unit]*number+number@delay; quote a name with signs in it"
         )
-    column = next(name for name in (found["single"], found["double"], found["bare"]) if name is not None)
     steps: list[tuple[str, float | str]] = []
-    rest = found["behind"] or found["rest"] or ""
+    rest = found[5] or ""
     while rest:
-        step = _STEP_PATTERN.match(rest)
+        step = _STEP.match(rest)
         if step is None:
             raise InputError(f"columns: {field}={text} cannot be read from {rest!r} on")
-        steps.append((step["sign"], _number(step["value"])))
+        steps.append((step[1], float(step[2]) if step[2] else step[3] or step[4] or step[5]))
         rest = rest[step.end() :]
-    return column.strip(), found["unit"], steps, float(late["value"]) * UNIT_FACTORS[late["unit"]] if late else 0.0
+    delay = float(found[6]) * UNIT_FACTORS[found[7]] if found[6] else 0.0
+    return (found[1] or found[2] or found[3]).strip(), found[4] or "", steps, delay
 
 
 def _number(text: Any) -> float | str:

@@ -27,6 +27,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 import pyarrow as pa
+import pyarrow.compute as pc
 from pyarrow import csv as pyarrow_csv
 
 from hydro_core.signals import FloatArray
@@ -88,38 +89,27 @@ class Style(NamedTuple):
         return len(cells) > 1 and numbers > 0 and 2 * numbers > len(given)
 
 
-@dataclass(frozen=True)
-class Header:
+class _Header(NamedTuple):
     """Header above rows of numbers."""
 
-    n_records: int
-    """Records before the first row of numbers."""
-    lead: int
-    """Cells before the first number of a row: 1 where the rows begin with a key."""
-    n_cells: int
-    """Cells of a row, the lead and an empty last one among them."""
-    names: tuple[str, ...]
-    """Names of the columns, each unique; those beyond the rows' cells are empty columns."""
-    named: bool
-    """Whether the file states the names."""
-    units: tuple[str, ...]
-    """Units of the columns, normalised by `units.stated`; empty if not stated."""
+    n_records: int  # before the first row of numbers
+    lead: int  # cells before the first number of a row: 1 where the rows begin with a key
+    n_cells: int  # of a row, the lead and an empty last one among them
+    names: tuple[str, ...]  # of the columns, each unique; those beyond the rows' cells are empty columns
+    named: bool  # whether the file states the names
+    units: tuple[str, ...]  # normalised by `units.stated`; empty if not stated
     start: float
-    step: float
-    """Sampling step [s] if the header states one, else 0."""
+    step: float  # s, sampling step if the header states one, else 0
 
 
 @dataclass
 class _Part:
     """Rows of numbers below one header."""
 
-    header: Header
-    columns: list[list[pa.ChunkedArray]] = field(default_factory=list)
-    """Numbers or texts of each column, by block."""
-    lines: list[Sequence[int]] = field(default_factory=list)
-    """Line of each row, by block."""
-    texts: set[int] = field(default_factory=set)
-    """Columns that are no plain numbers."""
+    header: _Header
+    columns: list[list[pa.ChunkedArray]]  # numbers or texts of each column, by block
+    lines: list[Sequence[int]] = field(default_factory=list)  # of each row, by block
+    texts: set[int] = field(default_factory=set)  # columns that are no plain numbers
 
 
 def text_columns(path: Path) -> Columns:
@@ -131,9 +121,7 @@ def text_columns(path: Path) -> Columns:
     encoding = _encoding(head)
     lines = head.decode(encoding, errors="replace").splitlines()
     style = style_of(lines[:-1] if len(head) == 1 << 16 else lines)
-    parts, notes, whole = _parts(path, encoding, style, [])
-    if not whole:  # a later block has shown that the cells of a column are no plain numbers
-        parts, notes, _ = _parts(path, encoding, style, [part.texts for part in parts])
+    parts, notes = _parts(path, encoding, style)
     found = merge_parts(_columns(part, style) for part in parts)
     found.notes[:0] = notes
     set_day_units(found)
@@ -180,7 +168,7 @@ def style_of(lines: list[str]) -> Style:
 # --- headers -------------------------------------------------------------------------------------------------------
 
 
-def header_of(records: list[str], style: Style) -> Header:
+def header_of(records: list[str], style: Style) -> _Header:
     """Header above the first row of numbers. Raises ValueError without one, or if decimal commas split cells."""
     rows = [style.cells(record) for record in records]
 
@@ -224,7 +212,7 @@ def header_of(records: list[str], style: Style) -> Header:
     for name in names:
         distinct[unique(name, distinct)] = None
     step = stated_step(_properties([row for row in rows[:first] if any(row)] if begin else above))
-    return Header(first, begin, len(rows[first]), tuple(distinct), named, tuple(units), *step)
+    return _Header(first, begin, len(rows[first]), tuple(distinct), named, tuple(units), *step)
 
 
 def _header_rows(records: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
@@ -325,22 +313,15 @@ def _is_cut(last: str, recent: list[str], style: Style) -> bool:
     return bool(len(steps) > 1 and not steps[-1] <= 3.0 * np.nanmax(steps[:-1], initial=0.0))
 
 
-def _parts(
-    path: Path, encoding: str, style: Style, texts: list[set[int]]
-) -> tuple[list[_Part], list[str], bool]:
-    """Parts of a file, notes on what was not read, and whether all blocks of each column are of one type.
-
-    `texts`: columns of each part that are known to be no plain numbers.
-    """
+def _parts(path: Path, encoding: str, style: Style) -> tuple[list[_Part], list[str]]:
+    """Parts of a file, and notes on what was not read."""
     parts: list[_Part] = []
     left: dict[str, _Lines] = {}  # by reason
     words: _Lines = []  # since the last row
-    whole = True
 
-    def begin(header: Header) -> None:
-        known_texts = texts[len(parts)] if len(texts) > len(parts) else set()
-        known_texts |= set() if style.certain else set(range(len(header.names)))
-        parts.append(_Part(header, [[] for _ in header.names], texts=known_texts))
+    def begin(header: _Header) -> None:
+        texts = set() if style.certain else set(range(len(header.names)))
+        parts.append(_Part(header, [[] for _ in header.names], texts=texts))
 
     for lines, records in _records(path, encoding, style, left):
         if not parts:
@@ -365,7 +346,7 @@ def _parts(
             fitted = list(_fitted(some, part.header, style, left))
             rows = [row for _, row in fitted]
             if rows:
-                whole &= _add(part, [line for line, _ in fitted], _numbers(rows, part, style, fallback=True))
+                _add(part, [line for line, _ in fitted], _numbers(rows, part, style, fallback=True))
     if not parts:
         raise ValueError("there is no row of two numbers or more in it")
     if words:
@@ -379,14 +360,14 @@ def _parts(
         f"{len(some)} lines {reason} (from line {some[0][0]} on: {' '.join(some[0][1].split())[:40]!r})"
         for reason, some in left.items()
     ]
-    return parts, notes, whole
+    return parts, notes
 
 
 def _is_words(record: str, style: Style) -> bool:
     return _WORDS.match(record) is not None and not style.row(style.cells(record))
 
 
-def _header_below(words: _Lines, rows: list[str], above: Header, style: Style) -> Header | None:
+def _header_below(words: _Lines, rows: list[str], above: _Header, style: Style) -> _Header | None:
     """Header of words above rows of numbers, None if they are remarks: it names columns, or another number of them."""
     header = None
     with suppress(ValueError):
@@ -397,7 +378,7 @@ def _header_below(words: _Lines, rows: list[str], above: Header, style: Style) -
     return header if names & others or len(names) != len(others) else None
 
 
-def _fitted(rows: _Lines, header: Header, style: Style, left: dict[str, _Lines]) -> Iterator[tuple[int, str]]:
+def _fitted(rows: _Lines, header: _Header, style: Style, left: dict[str, _Lines]) -> Iterator[tuple[int, str]]:
     """Yield rows with as many cells as the header's, filled up with empty ones; others are added to `left`."""
     sign, width = style.separator, header.n_cells
     for line, row in rows:
@@ -456,16 +437,11 @@ def _numbers(rows: list[str], part: _Part, style: Style, *, fallback: bool = Fal
     return cells.columns
 
 
-def _add(part: _Part, lines: Sequence[int], columns: list[pa.ChunkedArray]) -> bool:
-    """Add rows to a part; returns False if a column is no longer of one type."""
-    whole = True
-    for k, column in enumerate(columns):
-        if pa.types.is_string(column.type) and k not in part.texts:
-            part.texts.add(k)
-            whole &= not part.columns[k]
-        part.columns[k].append(column)
+def _add(part: _Part, lines: Sequence[int], columns: list[pa.ChunkedArray]) -> None:
+    part.texts |= {k for k, column in enumerate(columns) if pa.types.is_string(column.type)}
     part.lines.append(lines)
-    return whole
+    for blocks, column in zip(part.columns, columns, strict=False):
+        blocks.append(column)
 
 
 # --- numbers -------------------------------------------------------------------------------------------------------
@@ -479,7 +455,9 @@ def _columns(part: _Part, style: Style) -> Columns:
         if k not in part.texts or not blocks:
             numbers.append(np.concatenate([block.to_numpy() for block in blocks]) if blocks else np.full(length, np.nan))
             continue
-        cells = pd.Series(np.concatenate([block.to_numpy() for block in blocks]), dtype=object)
+        texts = [pc.replace_substring(block.cast(pa.string()), ".", style.decimal) if pa.types.is_floating(block.type)
+                 else block for block in blocks]  # fmt: skip
+        cells = pd.Series(np.concatenate([block.to_numpy() for block in texts]), dtype=object)
         values, bad = numbers_of(cells, style.decimal, certain=style.certain)
         numbers.append(values)
         if bad is not None:
@@ -548,7 +526,7 @@ def _times_of_day(text: pd.Series) -> FloatArray:
     return np.asarray(seconds)
 
 
-def _take(header: Header, columns: list[FloatArray], found: Columns) -> None:
+def _take(header: _Header, columns: list[FloatArray], found: Columns) -> None:
     """Add the columns of a part; a time column is the clock of those to its right, and is added once."""
     series, clocks = found.series, found.clocks
     times = [k for k, name in enumerate(header.names) if is_time(name, columns[k][_filled(columns[k])])]
