@@ -1,5 +1,6 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* A box on a bare microcontroller: what its main loop and its interrupts do. Fill in the six functions of the board.
+/* A box on a bare microcontroller: what its main loop and its interrupts do. Fill in the functions of the board
+ * (boards/stm32f405 has them for one).
  *
  * The UART's interrupt only stores bytes; the timer's, each millisecond, runs the box. Compile with HYDRO_SINGLE where
  * the processor has single precision in hardware. The command that makes box_config.h is in your_own_box.md.
@@ -15,6 +16,7 @@ void board_read(hydro_real raw[5]);                   /* f_h N, f_l N, p_a Pa, p
 void board_hold_current(hydro_real ampere);           /* until the next call */
 size_t board_send(const uint8_t *data, size_t count); /* by DMA; takes all or nothing */
 void board_feed_watchdog(void);
+void board_sleep(void);                               /* until an interrupt */
 
 static hydro_box box;
 static hydro_rates rates;
@@ -53,5 +55,6 @@ int main(void)
     hydro_rates_reset(&rates, &HYDRO_BOX_CONFIG);
     board_begin();
     for (;;) {
+        board_sleep();
     }
 }
