@@ -25,7 +25,7 @@ unexport PYTHONDONTWRITEBYTECODE
 test test-slow graph-repeat fast-tests colcon-test bench fuzz-line soak: export ROS_SECURITY_ENABLE := false
 
 .PHONY: help setup main-job-setup test-setup lint-setup build train prove test test-slow graph-repeat check lint fast-tests colcon-test demo
-.PHONY: bench bench-peers paper fuzz-line soak firmware format reference docs coverage clean
+.PHONY: bench bench-peers paper fuzz-line soak firmware format docs coverage clean
 
 help:  ## list the targets
 	@awk -F ':.*## ' '/^[a-z-]+:.*## / {printf "  make %-15s %s\n", $$1, $$2}' $(MAKEFILE_LIST)
@@ -100,10 +100,7 @@ soak: setup  ## an hour of training under faults drawn at random (ARGS="--seed 1
 firmware:  ## the box in C: unit tests, 10^7 hostile bytes under sanitizers, coverage, mutants, operations (ARGS="--no-mutants")
 	@$(PYTHON) firmware/test/checks.py $(ARGS)
 
-reference: setup  ## write the reference pages that follow from the code: commands, parameters, messages
-	@$(SOURCED) .venv/bin/python docs/generate_reference.py
-
-docs:  ## the manual as a site in site/, in an environment of its own (.venv-docs); every warning is an error
+docs: lint-setup  ## the manual as a site in site/, in an environment of its own (.venv-docs); every warning is an error
 	@[ -x .venv-docs/bin/python ] || $(PYTHON) -m venv .venv-docs
 	@.venv-docs/bin/python -m pip install -q -r requirements-docs.txt
 	@.venv-docs/bin/mkdocs build --strict --quiet && echo "site/index.html"

@@ -1,18 +1,30 @@
 # SPDX-License-Identifier: Apache-2.0
 """What the site needs beside the pages.
 
-Links that leave docs/ become plain text, since the site has no such files. Bars in code in tables, which GitHub wants
-escaped, lose the escape.
+Pages that follow from the code are generated. Links that leave docs/ become plain text, since the site has no such
+files. Bars in code in tables, which GitHub wants escaped, lose the escape.
 """
 
 from __future__ import annotations
 
+import json
 import posixpath
 import re
+import subprocess
 from typing import Any
+
+from mkdocs.structure.files import File
 
 _CODE = re.compile(r"`[^`]*`")
 _LINK = re.compile(r"(?<!!)\[([^\]]+)\]\(((?:\.\./)+[^)\s#]+)(?:#[^)\s]*)?\)")
+
+
+def on_files(files: Any, *, config: Any) -> None:
+    """Add the pages that follow from the code."""
+    command = "source install/setup.bash && .venv/bin/python docs/generate_reference.py"
+    printed = subprocess.run(["bash", "-c", command], check=True, stdout=subprocess.PIPE, text=True).stdout
+    for path, text in json.loads(printed).items():
+        files.append(File.generated(config, path, content=text))
 
 
 def on_page_markdown(markdown: str, *, page: Any, **_: Any) -> str:

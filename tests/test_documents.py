@@ -96,9 +96,11 @@ def test_files_that_the_table_of_failures_names_hold_tests() -> None:
     assert [name for name, path in files.items() if not path.exists() or "def test_" not in path.read_text()] == []
 
 
-def test_generated_pages_are_current() -> None:
-    stale = [path.name for path, text in generate_reference.pages().items() if PAGES[path] != text]
-    assert stale == [], "make reference"
+def test_pages_of_the_site_are_committed_or_generated() -> None:
+    named = set(re.findall(r": ((?:manual|reports)/\S+\.md)$", (ROOT / "mkdocs.yml").read_text("utf-8"), re.MULTILINE))
+    generated = generate_reference.pages()
+    assert {path for path in named if not (ROOT / "docs" / path).exists()} == set(generated)
+    assert [path for path, text in generated.items() if text.count("\n") < 10] == []
 
 
 def test_pages_that_the_sources_name_are_there() -> None:
