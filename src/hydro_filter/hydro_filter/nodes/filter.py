@@ -182,7 +182,7 @@ class FilterNode(Node):
         self._answers: SampleAcknowledger | None = None
         self._states: Subscription | None = None
         self._diagnostics = DiagnosticsPublisher(self, self._status)
-        self._advice = "" if realtime else ", or start it with --realtime"
+        self._advice = "" if realtime or in_process else ", or start it with --realtime"
         scheduling = "in the plant's process" if in_process else request_realtime(realtime=realtime)
         rate = f"contraction rate {self.settings.contraction_rate:g} 1/s"
         self.get_logger().info(f"{self._loaded}; {rate}, {scheduling}")
