@@ -18,7 +18,7 @@ from hydro_bridge.ros.companion import Companion, executable_path
 from hydro_core.files import site
 from hydro_policy.commissioning.record import FAILED, PASSED, PENDING, GateError, Record, best, digests
 from hydro_policy.nodes import evaluate
-from hydro_policy.nodes.commission import GATE_NAMES, comparison
+from hydro_policy.nodes.commission import GATE_NAMES, LONGER, comparison, diagnosis
 from hydro_policy.nodes.plant_options import apply_site
 from hydro_policy.nodes.site_runs import Site
 from hydro_sim.box.box import BoxConfig
@@ -123,7 +123,7 @@ def test_a_controller_that_was_stopped_or_under_which_the_piston_stood_is_left_o
         "compensated": {"name": "compensated", "rmse": {"1 Hz": 212.0, "2 Hz": 180.0}, "trips": 0},
     }
     made = Record(amplitude=300.0, comparison=entries)
-    at = Site(tmp_path, made, rearm=True, policy=False, log=sys.stderr)
+    at = Site(tmp_path, made, rearm=True, policy=False, seconds=24.0, log=sys.stderr)
     with pytest.raises(GateError, match=r"completed .*: fixed \(15, 5\), fixed .*, compensated: .* piston stood"):
         comparison(at)
     entries["compensated"]["rmse"] = {"1 Hz": 190.0, "2 Hz": 180.0}
@@ -131,3 +131,21 @@ def test_a_controller_that_was_stopped_or_under_which_the_piston_stood_is_left_o
     assert made.adopted == "compensated"
     entries["compensated"] |= {"rmse": {"1 Hz": None, "2 Hz": 1.0}, "trips": 1}
     assert best(entries) == "best_fixed" and best({"policy": {"rmse": {}, "trips": 0}}) == ""
+
+
+def test_a_diagnosis_that_does_not_explain_is_repeated_with_a_longer_budget(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    at, budgets = Site(tmp_path, Record(), rearm=True, policy=False, seconds=10.0, log=sys.stderr), []
+
+    def diagnose(*words: str) -> None:
+        budgets.append(float(words[-1]))
+        out = tmp_path / site.REPORTS_FOLDER / "diagnosis"
+        out.mkdir(parents=True)
+        (out / site.MODEL_FILE).touch()
+        verdict = "modelled" if len(budgets) == 1 else "explained"
+        (out / "report.json").write_text(json.dumps({"verdict": verdict, "effects": []}))
+
+    monkeypatch.setattr(at, "run", diagnose)
+    assert diagnosis(at) == "explained: no cause"
+    assert budgets == [10.0, LONGER * 10.0]

@@ -57,11 +57,15 @@ class Site:
 
     `folder`: folder of the site. `record`: record of its commissioning; its plant is the serial port of the box, or
     `EMULATED_PLANT`. `rearm`: whether the plant is armed without a person. `policy`: whether a policy is to be trained.
-    `log`: file for the output of all processes, whose warnings are also shown.
+    `seconds`: budget of the diagnosis, s of CPU. `log`: file for the output of all processes, whose warnings are also
+    shown.
     """
 
-    def __init__(self, folder: Path, record: Record, *, rearm: bool, policy: bool, log: IO[str]) -> None:
+    def __init__(
+        self, folder: Path, record: Record, *, rearm: bool, policy: bool, seconds: float, log: IO[str]
+    ) -> None:
         self.folder, self.record, self.policy, self.bench = folder, record, policy, folder / site.BENCH_FILE
+        self.seconds = seconds
         self._rearm, self._log = rearm, log
         self._typed = None if rearm else terminal_lines()
         self._port = str(folder / "port") if record.plant == EMULATED_PLANT else record.plant
