@@ -6,22 +6,26 @@ from __future__ import annotations
 import argparse
 import secrets
 import time
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import get_args
 
 from hydro_bridge.arguments import parse_arguments, ros_arguments
 from hydro_bridge.plant_clock import parse_pace
+from hydro_bridge.serial.port import Port, PortSettings
 from hydro_core.cli.console import bounded_number, command, writable_folder
 from hydro_core.process import termination
 from hydro_core.settings import SettingsError
 from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator import offline
+from hydro_sim.emulator.analogue import Adapter, Converters, Pipes
 from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import ControlPipe, RealtimeEmulator, request_realtime
+from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.excitation import load_schedule
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
@@ -33,6 +37,8 @@ def main() -> None:
     options = parse_arguments(_parser(), "emulator", *ros_arguments())
     if options.offline:
         _record(options)
+    elif options.analogue:
+        _convert(options)
     else:
         _serve(options)
 
@@ -57,6 +63,8 @@ def _parser() -> argparse.ArgumentParser:
     line.add_argument("--pace", default="plant", metavar="PACE", help="plant: each sample waits for the host's answer "
                       "(default); real: real time; a number: that many times real time")  # fmt: skip
     line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
+    line.add_argument("--analogue", metavar="PORT", help="be only the plant with its converters, behind the second port "
+                      "of a box on a microcontroller's core")  # fmt: skip
     line.add_argument("--load-force", type=Path, metavar="FILE", help="keep the last forces on the load there "
                       "meanwhile, in front of its cell, for scoring only")  # fmt: skip
     group = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
@@ -81,6 +89,30 @@ def _record(options: argparse.Namespace) -> None:
     recording = offline.record_offline(truth, segments, bench=bench, box=box, seed=options.seed)
     offline.write_bag(options.out, recording, bench)
     print(f"{options.out}: {len(recording.states) * 1e-3:g} s of bench in {time.perf_counter() - began:.2f} s")
+
+
+def _convert(options: argparse.Namespace) -> None:
+    """Run plant and converters behind a core's port until it is stopped; print statistics at the end."""
+    bench, place = Bench.load(options.bench) if options.bench else Bench.nominal(), Path(options.analogue)
+    plant = TruthPlant(offline.load_truth_config(options.truth, bench), options.seed)
+    plant.step(0.0)  # compiles
+    plant.reset(options.seed)
+    converters = Converters(plant, bench, BoxConfig().of_bench(bench))
+    with termination.signals_noted() as stop, ExitStack() as stack:
+        control = stack.enter_context(closing(ControlPipe(options.control))) if options.control else None
+        adapter = None
+        if place.is_char_device():
+            port: Port | Pipes = Port(PortSettings(path=options.analogue))
+        else:
+            terminal = Terminal(options.link or default_link())
+            stack.callback(terminal.unplug)
+            line = stack.enter_context(closing(Pipes(place.with_name("line"))))
+            port, adapter = Pipes(place), Adapter(line, terminal, options.seed)
+        stack.enter_context(closing(port))
+        told = f", port {adapter.terminal.path}" if adapter else ""
+        print(f"converters on {options.analogue}{told}, {request_realtime()}", flush=True)
+        converters.run(port, adapter, control, options.seconds, lambda: bool(stop))
+    print(f"{converters.conversions} samples, {converters.alone} without the core", flush=True)
 
 
 def _serve(options: argparse.Namespace) -> None:
