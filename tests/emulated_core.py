@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box on the core of a microcontroller that QEMU emulates, with its converters: what `emulator --analogue` is for."""
+"""The box on the core of a microcontroller that QEMU emulates, with `emulator --analogue` as its converters."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from hydro_sim.model.bench import Bench
 
 BOARD = Path(__file__).resolve().parent.parent / "firmware" / "boards" / "stm32f405"
 MISSING = [tool for tool in ("arm-none-eabi-gcc", "arm-none-eabi-nm", "qemu-system-arm") if shutil.which(tool) is None]
-SLOWNESS = 4
+SLOWNESS = 6
 """Times slower than real time: two cores that others use, too, take and give a byte at a time."""
 
 

@@ -29,8 +29,8 @@ pytestmark = [
 ]
 IN_TIME = ("framing.garbage", "hello.answered", "idle.values", "order.old", "refused", "measured.units")
 """Cases that judge by samples alone, whatever else the machine does."""
-CREEP = 1e-3
-"""m that the piston may go on by itself while the valve is shut."""
+CREEP = 3e-3
+"""m that the piston may go on by itself, of 15 that 300 N are: the oil relaxes while the valve is shut."""
 X, F, U = 6, 2, 8  # places of position, load force and valve current in a sample
 
 
@@ -39,9 +39,9 @@ def box(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return emulated_core.build(tmp_path_factory.mktemp("box"))
 
 
-@pytest.fixture
-def board(box: Path, tmp_path: Path) -> Iterator[Core]:
-    with emulated_core.core(box, tmp_path) as made:
+@pytest.fixture(scope="module")
+def board(box: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Core]:
+    with emulated_core.core(box, tmp_path_factory.mktemp("core")) as made:
         yield made
 
 
@@ -60,17 +60,18 @@ def session(board: Core) -> closing[Host]:
 
 
 def drive(host: Host) -> State:
-    """Arm, and hold 300 N."""
+    """Greet, arm, and hold 300 N."""
     host.commands.clear()  # their numbers come again behind a restart
-    host.open()
-    host.stream(5, arm=False)
-    host.stream(700, arm=True, waveform=Waveform.HOLD, offset=300.0)
-    now = host.states[-1]
-    assert now.flags & Flag.ARMED and abs(now.values[F] - 300.0) < 30.0, now
-    return now
+    host.greet(3000)
+    host.sequence = host.states[-1].last_command + 1000
+    host.send(arm=False)
+    until(host, lambda state: not state.flags & (Flag.TRIPPED | Flag.WATCHDOG))
+    host.send(arm=True, waveform=Waveform.HOLD, offset=300.0)
+    until(host, lambda state: bool(state.flags & Flag.ARMED))
+    return until(host, lambda state: bool(state.flags & Flag.ARMED) and abs(state.values[F] - 300.0) < 10.0)
 
 
-def rest(host: Host, last: State, samples: int = 300) -> list[State]:
+def rest(host: Host, last: State, samples: int = 100) -> list[State]:
     """Samples behind a fault, while the host goes on asking for 300 N: disarmed, no current, no way."""
     begin = len(host.states)
     host.receive(samples, times=1)
@@ -83,7 +84,7 @@ def rest(host: Host, last: State, samples: int = 300) -> list[State]:
 
 def until(host: Host, there: Callable[[State], bool], times: int = 1) -> State:
     """Go on until a sample is so."""
-    for _ in range(2000):
+    for _ in range(3000):
         host.receive(1, times=times)
         if there(host.states[-1]):
             return host.states[-1]
@@ -141,7 +142,7 @@ def test_a_host_that_goes_dark_finds_it_tripped(board: Core) -> None:
 def test_bytes_that_are_lost_are_told_and_too_many_trip(board: Core, host: Host) -> None:
     last = drive(host)
     board.order("loss 0.001")
-    host.receive(200, times=1)
+    host.receive(150, times=1)
     assert host.states[-1].flags & Flag.ARMED, "a command in ten is lost"
     assert host.decoder.counts.crc_errors + host.decoder.counts.malformed > 0
     board.order("loss 0.2")

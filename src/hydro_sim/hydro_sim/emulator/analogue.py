@@ -115,7 +115,7 @@ class Converters:
         self, port: Port | Pipes, adapter: Adapter | None, control: ControlPipe | None, seconds: float | None,
         stopped: Callable[[], bool],
     ) -> None:  # fmt: skip
-        """Serve the core's port, and its line, until stopped, or for so many s of its time; a serial one may be lost."""
+        """Serve the core's port, and its line, until stopped or for so many s of its time; a serial port may be lost."""
         last = time.monotonic()
         while not stopped() and (seconds is None or self.conversions * SAMPLE_PERIOD < seconds):
             before = self.conversions

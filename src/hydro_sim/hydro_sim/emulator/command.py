@@ -63,8 +63,8 @@ def _parser() -> argparse.ArgumentParser:
     line.add_argument("--pace", default="plant", metavar="PACE", help="plant: each sample waits for the host's answer "
                       "(default); real: real time; a number: that many times real time")  # fmt: skip
     line.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders such as 'unplug 2'")
-    line.add_argument("--analogue", metavar="PORT", help="be only the plant with its converters, behind the second port "
-                      "of a box on a microcontroller's core")  # fmt: skip
+    line.add_argument("--analogue", metavar="PORT", help="be only the plant with its converters, behind the second "
+                      "port of a box on a microcontroller's core")  # fmt: skip
     line.add_argument("--load-force", type=Path, metavar="FILE", help="keep the last forces on the load there "
                       "meanwhile, in front of its cell, for scoring only")  # fmt: skip
     group = parser.add_argument_group("offline: as fast as the machine computes, the same samples to the bit")
