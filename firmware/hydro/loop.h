@@ -22,7 +22,7 @@
  *
  *   u = (f_c' + K_p (f_c - f_l) + I - C_1 h) / (C_2 g)     g = g(x_p, p_a, p_b), h = h(x_p, x_p')
  *
- * in closed form, the law's integral I as it is. hydro_filter.model builds `hydro_loop` from a bench file; safety.md
+ * in closed form, the law's integral I as it is. hydro_filter.model builds `hydro_loop` from a bench file; filter.md
  * explains it.
  */
 #ifndef HYDRO_LOOP_H

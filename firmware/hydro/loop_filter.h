@@ -21,7 +21,7 @@
  *              /   |  0  |
  *             /  -back  out           (Merritt 1967, sections 5-3 to 5-6)
  *
- * docs/manual/explanation/safety.md has the certificate. This is the only implementation: node, fleet and training
+ * docs/manual/explanation/filter.md has the certificate. This is the only implementation: node, fleet and training
  * run it as a library (hydro_filter.c), a box may include it. Samples must follow one another, each once;
  * after a gap begin with a memory of zeros. One that is none of a bench gets NAN, and the memory begins anew.
  * `ros2 run hydro_filter export_c` writes HYDRO_LOOP_FILTER, with the law that it is for (`velocity_compensation`);

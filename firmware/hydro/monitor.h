@@ -21,7 +21,7 @@
  * clip the latter. Sensor noise is far below both: in the mean over the 50 samples of an alarm 0.1 N of load, 0.3 N of
  * motion, 0.2 N of hydraulic force, 85 Pa of a chamber. Noise alone therefore raises no alarm. An alarm persists until
  * the equations have held for RETURN samples that excite the bench at least half as much as when it was raised: neither
- * a gap nor a new arming ends it. Measurements: safety.md.
+ * a gap nor a new arming ends it. Measurements: filter.md.
  */
 #ifndef HYDRO_MONITOR_H
 #define HYDRO_MONITOR_H

@@ -7,7 +7,7 @@
 
 M is symmetric and positive definite whatever the table holds. It is scheduled by K_p because no single metric holds for
 all stable gains: the loop is about s^2 + d s + w^2 with w^2 proportional to K_p, and one quadratic form decays for all
-of w^2 in [p, q] only if sqrt(q) - sqrt(p) < d (safety.md). Gains outside of the certified range have one common metric,
+of w^2 in [p, q] only if sqrt(q) - sqrt(p) < d (filter.md). Gains outside of the certified range have one common metric,
 the table's last factor.
 
 In the certified range of K_p, the metric must decay along the frozen loop F + G K without a correction: P solves the

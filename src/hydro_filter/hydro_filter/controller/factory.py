@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Factory of filters: a metric of `learn_metric` on a bench file, and the command line that chooses them.
 
-Guarantees and limits: safety.md.
+Guarantees and limits: filter.md.
 """
 
 from __future__ import annotations

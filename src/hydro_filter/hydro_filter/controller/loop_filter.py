@@ -11,7 +11,7 @@ The law is represented by f_c, f_c', C_1, C_2 (`hydro_filter.model.sample.Sample
 if the law follows f_c: the loop's contraction does not depend on the reference.
 
 Samples must be consecutive: the memory simulates the spool from their currents. A correction acts one sample after its
-own. Certified gains and limits: safety.md.
+own. Certified gains and limits: filter.md.
 
 `LoopFilter` also monitors whether the model still fits the bench (firmware/hydro/monitor.h); if not, every result is
 MISMATCH without a correction. A compiled loop does not: its benches are simulated, by that model or deliberately by

@@ -14,7 +14,7 @@ everywhere. One sample of 1 ms, in units of the scales::
     q_{k+1} = F q_k + G u_k        F, G: exact, of the bench file's model; a change of f_h is spread over the pressures
     u_k     = K q_k                as the chambers' stiffnesses do         K: exact, of the force law that the box runs
 
-Dry friction is a bounded disturbance, no part of the loop, and is left out of F (safety.md). F and K are taken on the
+Dry friction is a bounded disturbance, no part of the loop, and is left out of F (filter.md). F and K are taken on the
 spool's side of zero. The law's own side differs for the few milliseconds in which the spool follows a current through
 zero.
 

@@ -5,7 +5,7 @@
 a linear matrix inequality in P: descent on P = L_0 (I + X) (I + X)' L_0' from the equation's L_0 L_0', X lower
 triangular, on the mean and the largest violation.
 
-**Empirical certificate**, on held-out windows; no proof over a set of states (safety.md)::
+**Empirical certificate**, on held-out windows; no proof over a set of states (filter.md)::
 
     ((F + G K)' M (F + G K) - exp(-2 lambda T) M) / T        its largest eigenvalue relative to M; 0 or less: M decays
 

@@ -64,8 +64,8 @@ POLICY_FOLDER = "policy"  # folder of the pretrained policy
 
 
 # Until this bench has a filter, all motions are under the compensated law without one: it tracks with 0.3 to 2.5 times
-# the valve gain assumed (safety.md). Motions are trials, run by `TrialRunner` on one plant (`site_runs`), of which a
-# gate reads results and recording. Computations run as separate processes.
+# the valve gain assumed (compensated_law.md). Motions are trials, run by `TrialRunner` on one plant (`site_runs`), of
+# which a gate reads results and recording. Computations run as separate processes.
 
 
 @dataclass(frozen=True, kw_only=True)
