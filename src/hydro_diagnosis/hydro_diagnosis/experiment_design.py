@@ -97,7 +97,9 @@ def next_recording(problem: Problem, outcome: SearchOutcome, assessment: Assessm
 
 def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike: str) -> dict[str, Any]:
     """Report entry with the catalog's reference on which two fits differ most; `alike`: their likeness, as a clause."""
-    gains = [(expected_gain(problem, reference, claimed, rival), reference) for reference in catalog(problem.bench)]
+    gains = [
+        (expected_difference(problem, reference, claimed, rival), reference) for reference in catalog(problem.bench)
+    ]
     gain, reference = max(gains, key=lambda one: one[0])
     if gain < VERY_STRONG_EVIDENCE:
         why = f"No reference tells {names[0]} from {names[1]} on this bench: another sensor or a known load would."
@@ -110,7 +112,7 @@ def proposal(problem: Problem, claimed: Fit, rival: Fit, names: list[str], alike
     return {"why": why, "separates": names, "reference": proposed, "expected_gain": gain}
 
 
-def expected_gain(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
+def expected_difference(problem: Problem, reference: ReferenceSignal, claimed: Fit, rival: Fit) -> float:
     """Expected BIC difference between a fit and its rival after `PROPOSED_TIME` seconds of a reference."""
     seconds = 10.0
     try:

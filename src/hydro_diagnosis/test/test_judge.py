@@ -19,7 +19,7 @@ from hydro_diagnosis.estimation.fit import Fit, fit
 from hydro_diagnosis.estimation.intervals import Interval
 from hydro_diagnosis.estimation.noise import sensor_noise
 from hydro_diagnosis.estimation.problem import Layout, Problem
-from hydro_diagnosis.experiment_design import catalog, expected_gain, next_for_law, simulated_recording
+from hydro_diagnosis.experiment_design import catalog, expected_difference, next_for_law, simulated_recording
 from hydro_diagnosis.io.table import RawTable
 from hydro_diagnosis.judge import accounted_shares, assess, retain_claims, unsupported
 from hydro_diagnosis.model import chambers
@@ -253,7 +253,7 @@ def test_the_proposed_recording_settles_more_than_a_random_one() -> None:
         return rival.score - true.score
 
     problem, true, rival = undecided
-    best = max(references, key=lambda one: expected_gain(problem, one, true, rival))
+    best = max(references, key=lambda one: expected_difference(problem, one, true, rival))
     others = np.random.default_rng(1).choice(len(references), 4, replace=False)
     proposed = told_apart(best)
     assert proposed > np.median([told_apart(references[k]) for k in others])
