@@ -9,6 +9,7 @@ from __future__ import annotations
 import argparse
 import ast
 import importlib
+import pydoc
 import re
 import shlex
 from functools import lru_cache
@@ -114,3 +115,11 @@ def test_pages_that_the_sources_name_are_there() -> None:
                 if not ((ROOT / name).exists() if "/" in name else name in names):
                     lost.append(where(source, name))
     assert lost == []
+
+
+def test_homes_in_the_table_of_concepts_are_there() -> None:
+    page = next(text for path, text in PAGES.items() if path.name == "architecture.md")
+    table = page.partition("## One concept, one home")[2].partition("\n\n|")[2].partition("\n\n")[0]
+    homes = [home for row in table.splitlines() for home in re.findall(r"`([\w./]+)`", row.split("|")[-2])]
+    assert len(homes) > 40
+    assert [home for home in homes if not ((ROOT / home).exists() if "/" in home else pydoc.locate(home))] == []
