@@ -20,11 +20,11 @@ from hydro_policy.pretraining.configurations import CONFIGURATIONS
 from hydro_policy.runs.run_directory import RunDirectory
 
 DEMO_OPTIONS = {"plant": "emulator", "configuration": "wide", "episodes": 6, "exam_every": 3, "evaluate": True}
-"""Options of --demo: a short training on the emulator over the serial link, recorded and evaluated, in 6 minutes."""
+"""Options of --demo: a short training on the emulator over the serial link, recorded and evaluated, in 5 minutes."""
 
 EPILOG = """\
 examples:
-  ros2 run hydro_policy trainer --demo                         a short training on the emulator, evaluated: 6 minutes
+  ros2 run hydro_policy trainer --demo                         a short training on the emulator, evaluated: 5 minutes
   ros2 run hydro_policy trainer --plant emulator --evaluate    the paper's 160 episodes: 70 minutes of bench time
   ros2 run hydro_policy trainer --plant bench --port /dev/ttyUSB0
   ros2 run hydro_policy trainer --resume runs/NAME             goes on after Ctrl-C, an error or a power cut
