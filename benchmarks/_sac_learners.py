@@ -18,8 +18,9 @@ from torch import nn
 from hydro_core.signals import FloatArray
 from hydro_policy.env import ENVIRONMENT_ID
 from hydro_policy.runs.run_directory import TrainingSettings
+from hydro_policy.sac.agent import ReplayBuffer
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import ReplayBuffer, Sac
+from hydro_policy.sac.sac import Sac
 from hydro_policy.sac.settings import SacSettings
 
 STARTS, CAPACITY, HIDDEN = TrainingSettings().learning_starts, 100_000, (32, 32)

@@ -43,8 +43,8 @@ from hydro_policy.envs import vector_runs
 from hydro_policy.envs.vector_runs import VectorController, VectorPolicyController
 from hydro_policy.evaluation.gain_search import GridSearch, GridSettings
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
+from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.task.cases import Case, EvaluationSettings
 from hydro_sim.emulator.truth.config import TruthConfig, load_truth
 from hydro_sim.excitation import parse_schedule

@@ -22,7 +22,8 @@ from benchmarks.sac_peers import EXAM, FREQUENCIES
 from hydro_bridge.bags.writer import code_version
 from hydro_core.cli.console import Table, command
 from hydro_core.signals import FloatArray
-from hydro_policy.sac.sac import ReplayBuffer, Sac
+from hydro_policy.sac.agent import ReplayBuffer
+from hydro_policy.sac.sac import Sac
 from hydro_policy.sac.settings import SacSettings
 
 REWARD_SCALE = 0.02
@@ -33,8 +34,8 @@ def last_actor_layer(factor: float) -> Callable[[Sac], None]:
     """Scale the actor's last layer, so that every mean begins near zero and sigma near one."""
 
     def change(sac: Sac) -> None:
-        for places in sac.layers["actor"][-1]:
-            sac.agent.actor.parameters[places] *= factor
+        for part in sac.parts("actor")[-2:]:
+            part *= factor
 
     return change
 
@@ -43,8 +44,8 @@ def log_std(value: float) -> Callable[[Sac], None]:
     """Let log sigma begin at a value."""
 
     def change(sac: Sac) -> None:
-        weights, biases = sac.layers["actor"][-1]
-        sac.agent.actor.parameters[weights[..., 2:]], sac.agent.actor.parameters[biases[..., 2:]] = 0.0, value
+        weights, biases = sac.parts("actor")[-2:]
+        weights[..., 2:], biases[..., 2:] = 0.0, value
 
     return change
 
@@ -54,21 +55,22 @@ def no_biases(gain: float | None = None) -> Callable[[Sac], None]:
 
     def change(sac: Sac) -> None:
         rng = np.random.default_rng((sac.settings.seed, 1))
-        for name, adam in (("actor", sac.agent.actor), ("critics", sac.agent.critics)):
-            for weights, biases in sac.layers[name]:
+        for name in ("actor", "critics"):
+            parts = sac.parts(name)
+            for weights, biases in zip(parts[::2], parts[1::2], strict=True):
                 if gain is not None:
-                    adam.parameters[weights] = rng.normal(0.0, gain / math.sqrt(weights.shape[1]), weights.shape)
-                adam.parameters[biases] = 0.0
-        sac.agent.targets[:] = sac.agent.critics.parameters
+                    weights[:] = rng.normal(0.0, gain / math.sqrt(weights.shape[1]), weights.shape)
+                biases[:] = 0.0
+        sac.vectors["target_critics"][:] = sac.vectors["critics.parameters"]
 
     return change
 
 
 def zero_critics(sac: Sac) -> None:
     """Let both critics begin at zero everywhere."""
-    for places in sac.layers["critics"][-1]:
-        sac.agent.critics.parameters[places] = 0.0
-    sac.agent.targets[:] = sac.agent.critics.parameters
+    for part in sac.parts("critics")[-2:]:
+        part[:] = 0.0
+    sac.vectors["target_critics"][:] = sac.vectors["critics.parameters"]
 
 
 @dataclass(frozen=True, kw_only=True)

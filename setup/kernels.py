@@ -25,9 +25,9 @@ from hydro_filter.controller import factory, loop_filter
 from hydro_filter.metric import ScheduledMetric
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.envs import FILTERS, vector_env
-from hydro_policy.learner_process.learner import compile_updates
-from hydro_policy.pretraining.configurations import CONFIGURATIONS, configuration
-from hydro_policy.task.mdp import ACTION_SIZE
+from hydro_policy.sac.sac import compile_update
+from hydro_policy.sac.settings import SacSettings
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from hydro_sim import excitation
 from hydro_sim.box.firmware import STRUCTURES
 from hydro_sim.emulator import offline
@@ -48,8 +48,8 @@ def _filters() -> None:
 
 
 def _learner() -> None:
-    for name in CONFIGURATIONS:
-        compile_updates(configuration(name).sac)
+    if sentence := compile_update(OBSERVATION_SIZE, ACTION_SIZE, SacSettings().hidden_size):
+        print(sentence, flush=True)
 
 
 def _estimator() -> None:
@@ -101,7 +101,7 @@ def _diagnosis() -> None:
 
 
 MAIN_JOB: dict[str, Callable[[], None]] = {
-    "estimator": _estimator, "learner": _learner, "emulator": _emulator, "filter": _filters,
+    "learner": _learner, "estimator": _estimator, "emulator": _emulator, "filter": _filters,
 }  # fmt: skip
 """What `make train` runs, the longest first."""
 KERNELS = MAIN_JOB | {

@@ -28,7 +28,7 @@ from hydro_bridge.ros.topics import GAINS, STATE, TRAINING
 from hydro_core.signals import Flag
 from hydro_msgs.msg import BenchState, TrainingStatus
 from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, load_checkpoint
-from hydro_policy.sac.sac import Sac, restore
+from hydro_policy.sac.agent import Agent
 from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from tests.checks import ran
 from tests.domains import own_domain
@@ -73,7 +73,7 @@ class Training:
     def checkpoint(self) -> Checkpoint:
         """The latest, which is whole: the run can go on from it."""
         found = load_checkpoint(self.run.latest)
-        restore(Sac(OBSERVATION_SIZE, ACTION_SIZE, self.run.load_settings().sac), found.learner)
+        Agent(OBSERVATION_SIZE, ACTION_SIZE, self.run.load_settings().sac).restore(found.learner)
         return found
 
 

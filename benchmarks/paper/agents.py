@@ -30,7 +30,7 @@ from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison
 from hydro_policy.runs.initial_agent import InitialAgent, load_initial_agent
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
-from hydro_policy.sac.sac import actor_parameters
+from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor, learner_requirement
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.training_plan import TrainingPlan, training

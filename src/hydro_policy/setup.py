@@ -30,6 +30,7 @@ setup(
         "safetensors",
         "scipy",
         "tensorboardX",
+        "torch",
         "tqdm",
     ],
     extras_require={"gym": ["gymnasium"], "test": ["pytest"]},  # by the latter colcon test knows to call pytest

@@ -31,7 +31,7 @@ from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison, Plan, Trial
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run_directory import RunRecord, TrainingSettings
-from hydro_policy.sac.sac import actor_parameters
+from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import Outputs, PlantSupervisor
 from hydro_policy.task.cases import Case, ExamSettings, Score

@@ -20,7 +20,7 @@ from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
 from hydro_policy.evaluation.runner import TrialRunner
-from hydro_policy.sac.sac import actor_parameters
+from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task import recorded

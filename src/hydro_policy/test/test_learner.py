@@ -12,22 +12,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hydro_policy.learner_process.learner import compile_updates
 from hydro_policy.learner_process.supervisor import LearnerError, LearnerSupervisor
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, load_checkpoint
+from hydro_policy.sac.agent import Agent
 from hydro_policy.sac.policy import load_policy
-from hydro_policy.sac.sac import Sac, dump, restore
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from tests import checks
 
 SETTINGS = TrainingSettings(learning_starts=100, replay_capacity=2000, sac=SacSettings(batch_size=32))
-
-
-@pytest.fixture(scope="module", autouse=True)
-def compiled() -> None:
-    """Here and not in the learner's process, which is nice to all others and would take minutes on a busy machine."""
-    compile_updates(SETTINGS.sac)
 
 
 @pytest.fixture
@@ -70,12 +63,11 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(run: RunDirectory) 
     assert not learner.alive
     checkpoint = load_checkpoint(run.latest)
     assert checkpoint.produced == 700 and checkpoint.trainer == {"episode": 5}
-    sac = Sac(OBSERVATION_SIZE, ACTION_SIZE, SETTINGS.sac)
-    restore(sac, checkpoint.learner)
+    sac = Agent(OBSERVATION_SIZE, ACTION_SIZE, SETTINGS.sac)
+    sac.restore(checkpoint.learner)
     assert sac.updates == 600
     policy, _, notes = load_policy(run.policy)
-    weights = sac.agent.actor.parameters[sac.layers["actor"][0][0][0]]
-    np.testing.assert_array_equal(policy.weights[0].astype(np.float32), weights)
+    np.testing.assert_array_equal(policy.weights[0].astype(np.float32), sac.parts("actor")[0][0])
     assert notes["episode"] == 5
 
     resumed = LearnerSupervisor(SETTINGS, run, checkpoint)
@@ -88,12 +80,13 @@ def test_learner_learns_dies_revives_and_leaves_a_checkpoint(run: RunDirectory) 
 
 def test_a_learner_that_cannot_begin_says_why_at_once(run: RunDirectory) -> None:
     with pytest.raises(ValueError, match="not a whole agent"):
-        LearnerSupervisor(SETTINGS, run, start=dump(Sac(OBSERVATION_SIZE, ACTION_SIZE, SETTINGS.sac))[:-100])
+        LearnerSupervisor(SETTINGS, run, start=Agent(OBSERVATION_SIZE, ACTION_SIZE, SETTINGS.sac).dump()[:-100])
     settings = replace(SETTINGS)
-    object.__setattr__(settings, "sac", SacSettings(batch_size=1024))  # as a setting that only the learner refuses
+    object.__setattr__(settings, "sac", replace(SETTINGS.sac))
+    object.__setattr__(settings.sac, "gamma", "much")  # as a setting that only the learner refuses
     learner = LearnerSupervisor(settings, run)
     wait(lambda: not learner.alive)
-    with pytest.raises(LearnerError, match="the learner cannot begin: batch_size 1024"):
+    with pytest.raises(LearnerError, match="the learner cannot begin: too many dimensions"):
         learner.restart_if_dead()
     learner.stop({})
     assert not run.policy.exists(), "there was nothing to write"

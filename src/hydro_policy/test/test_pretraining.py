@@ -15,7 +15,6 @@ from hydro_policy.pretraining.run import load_simulation_setup
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
 from hydro_policy.runs.run_directory import load_checkpoint, save_checkpoint
 from hydro_policy.sac.policy import load_policy
-from hydro_policy.sac.sac import dump
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from tests.checks import ran
@@ -24,7 +23,7 @@ from tests.checks import ran
 def test_an_interrupted_run_ends_with_the_same_weights(pretraining: PretrainSettings, tmp_path: Path) -> None:
     whole, begun, resumed = (Pretraining(pretraining, load_model(), Bench.nominal()) for _ in range(3))
     begun.run_round()
-    save_checkpoint(tmp_path / "latest", dump(begun.sac), begun.replay, begun.state())
+    save_checkpoint(tmp_path / "latest", begun.sac.dump(), begun.replay, begun.state())
     resumed.restore(load_checkpoint(tmp_path / "latest"), begun.best)
     assert resumed.episode == 2
     for each in (whole, resumed):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The compiled updates against the equations in torch, and a whole problem whose optimum is known."""
+"""The updates against torch's distributions and optimizer, compiled against not; a problem whose optimum is known."""
 
 from __future__ import annotations
 
@@ -13,15 +13,14 @@ from scipy.linalg import solve_discrete_are
 from torch import Tensor
 from torch.optim import Adam
 
-from hydro_policy.sac.sac import ReplayBuffer, Sac
+from hydro_policy.sac.agent import ReplayBuffer
+from hydro_policy.sac.sac import Sac, compile_update
 from hydro_policy.sac.settings import SacSettings
 
 
 def leaves(sac: Sac, name: str) -> list[Tensor]:
     """Copies of weights [member, fan_in, fan_out] and biases [member, 1, fan_out] of `actor` or `critics`, in turn."""
-    flat = getattr(sac.agent, name).parameters
-    arrays = [flat[places] for layer in sac.layers[name] for places in layer]
-    return [torch.from_numpy(a if a.ndim == 3 else a[:, np.newaxis]).requires_grad_() for a in arrays]
+    return [torch.from_numpy(part.copy()).requires_grad_() for part in sac.parts(name)]
 
 
 def forward(layers: Sequence[Tensor], inputs: Tensor) -> Tensor:
@@ -46,7 +45,7 @@ class Equations:
         self.settings, s = begun.settings, begun.settings
         self.actor, self.critics = leaves(begun, "actor"), leaves(begun, "critics")
         self.targets = [tensor.detach().clone() for tensor in self.critics]
-        self.log_alpha = torch.from_numpy(begun.agent.entropy.parameters.copy()).requires_grad_()
+        self.log_alpha = torch.from_numpy(begun.vectors["entropy.parameters"].copy()).requires_grad_()
         self.actor_adam = Adam(self.actor, lr=s.actor_learning_rate)
         self.critic_adam = Adam(self.critics, lr=s.critic_learning_rate)
         self.alpha_adam = Adam([self.log_alpha], lr=s.entropy_learning_rate)
@@ -81,31 +80,46 @@ class Equations:
 
 @pytest.mark.parametrize("dtype", [pytest.param(torch.float64, marks=pytest.mark.study), torch.float32])
 @pytest.mark.parametrize("rows", [256, 100, 3])
-def test_compiled_updates_are_those_of_the_equations(rows: int, dtype: torch.dtype) -> None:
+def test_updates_are_those_of_the_equations(rows: int, dtype: torch.dtype) -> None:
     """Five updates on the same draws: equal to rounding; a buffer's tail, and a sigma at its bound, do not count."""
     sac = Sac(5, 2, SacSettings(batch_size=rows, hidden_size=30, seed=4), torch.empty(0, dtype=dtype).numpy().dtype)
     if rows == 100:
-        sac.agent.actor.parameters[sac.layers["actor"][-1][1][0, 2]] = -8.0  # sigma at its lower bound
+        sac.parts("actor")[-1][0, 0, 2] = -8.0  # sigma at its lower bound
     equations = Equations(sac)
     rng, memory = np.random.default_rng(1), ReplayBuffer(5, 2, 500)
     table = rng.normal(size=(400, 14)).astype(np.float32)
     table[:, 10:12], table[:, 13] = np.tanh(table[:, 10:12]), rng.random(400) < 0.2
     memory.extend(table)
-    places, noise = sac.draw(memory, 5)
+    batches, noise = sac.draw(memory, 5)
     sac.learn(memory, 5)
-    drawn = [torch.from_numpy(table[at]).to(dtype).split(memory.widths, dim=1) for at in places]
+    drawn = [torch.from_numpy(batch).to(dtype).split(memory.widths, dim=1) for batch in batches]
     losses = [equations.update(*each) for each in zip(drawn, torch.from_numpy(noise), strict=True)]
     tolerance = {"rtol": 1e-11, "atol": 1e-13} if dtype == torch.float64 else {"rtol": 1e-3, "atol": 2e-5}
-    agent = sac.agent
-    vectors = {"actor": agent.actor.parameters, "critics": agent.critics.parameters, "targets": agent.targets}
-    for name, vector in vectors.items():
-        of_files = sac.parameter_indices["actor" if name == "actor" else "critics"]
+    for key, name in (("actor.parameters", "actor"), ("critics.parameters", "critics"), ("target_critics", "targets")):
         want = torch.cat([each.detach().ravel() for each in getattr(equations, name)])
-        torch.testing.assert_close(torch.from_numpy(vector[of_files]), want, **tolerance)
-        assert not np.delete(vector, of_files).any(), "the padding has learnt"
+        torch.testing.assert_close(torch.from_numpy(sac.vectors[key]), want, **tolerance)
     assert sac.entropy_coefficient == pytest.approx(float(equations.log_alpha.detach().exp()), rel=1e-6)
     assert sac.losses == pytest.approx(np.mean(losses, axis=0), rel=1e-9 if dtype == torch.float64 else 1e-3)
     assert (sac.updates, sac.steps) == (5, 5)
+
+
+@pytest.mark.parametrize("rows", [256, 3])
+def test_compiled_updates_are_those_of_the_same_function(rows: int) -> None:
+    """Twenty updates of the sizes that set-up compiles; resumed after ten to the same bits."""
+    assert not compile_update(13, 2, 32)
+    compiled, resumed, plain = (Sac(13, 2, SacSettings(batch_size=rows, seed=4)) for _ in range(3))
+    assert compiled.compiled
+    plain._update = None
+    memory = ReplayBuffer(13, 2, 500)
+    memory.extend(np.random.default_rng(1).normal(size=(400, 30)).astype(np.float32) * 0.3)
+    for sac in (compiled, plain):
+        sac.learn(memory, 10)
+    resumed.restore(compiled.dump())
+    for sac in (compiled, plain, resumed):
+        sac.learn(memory, 10)
+    np.testing.assert_array_equal(resumed.state, compiled.state)
+    for name, vector in compiled.vectors.items():
+        np.testing.assert_allclose(vector, plain.vectors[name], rtol=2e-3, atol=2e-4)
 
 
 def test_linear_quadratic_regulator_is_learnt() -> None:
@@ -127,6 +141,8 @@ def test_linear_quadratic_regulator_is_learnt() -> None:
     memory = ReplayBuffer(1, 1, 5000)
     memory.extend(np.stack((x, x + b * a, a, -(q * x**2 + r * a**2), np.zeros(5000)), axis=1).astype(np.float32))
     settings = SacSettings(batch_size=128, gamma=gamma, target_entropy=-1.0, reward_scale=1.0, tau=0.02)
+
+    assert not compile_update(1, 1, 32)
 
     def learnt(seed: int) -> float:
         sac = Sac(1, 1, replace(settings, seed=seed))

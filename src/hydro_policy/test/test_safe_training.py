@@ -13,8 +13,8 @@ import pytest
 from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, FloatArray, Waveform
 from hydro_filter.controller.loop_filter import Result
 from hydro_policy.evaluation.runner import Phase
+from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import actor_parameters
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
 from hydro_policy.supervision.override import GainOverride

@@ -22,8 +22,9 @@ from hydro_policy.nodes.training import write_initial_checkpoint
 from hydro_policy.pretraining.configurations import configuration
 from hydro_policy.runs.initial_agent import AGENT_FILE, load_initial_agent, shipped_agent
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, load_checkpoint, save_checkpoint
+from hydro_policy.sac.agent import Agent, ReplayBuffer, actor_parameters
 from hydro_policy.sac.policy import Policy, load_policy
-from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump, restore
+from hydro_policy.sac.sac import Sac
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, GainRange
 
@@ -109,26 +110,26 @@ def trained(updates: int) -> tuple[Sac, ReplayBuffer]:
 
 def test_interrupted_writer_leaves_the_previous_checkpoint(tmp_path: Path) -> None:
     sac, replay = trained(1)
-    save_checkpoint(tmp_path / "latest", dump(sac), replay, {"episode": 1})
+    save_checkpoint(tmp_path / "latest", sac.dump(), replay, {"episode": 1})
     (tmp_path / "latest").rename(tmp_path / "latest.previous")  # as between the writer's two renames
     (tmp_path / "latest.partial").mkdir()
     assert load_checkpoint(tmp_path / "latest").trainer == {"episode": 1}
-    save_checkpoint(tmp_path / "latest", dump(sac), replay, {"episode": 2})
+    save_checkpoint(tmp_path / "latest", sac.dump(), replay, {"episode": 2})
     assert load_checkpoint(tmp_path / "latest").trainer == {"episode": 2}
     assert sorted(p.name for p in tmp_path.iterdir()) == ["latest"]
 
 
 def test_an_agent_to_start_from_brings_its_range_and_owes_no_updates_of_its_past(tmp_path: Path) -> None:
     settings = SacSettings(hidden_size=16, seed=5)
-    sac, again = (Sac(OBSERVATION_SIZE, ACTION_SIZE, settings) for _ in range(2))
+    sac, again = (Agent(OBSERVATION_SIZE, ACTION_SIZE, settings) for _ in range(2))
     sac.updates = 280_000
-    (tmp_path / AGENT_FILE).write_bytes(dump(sac))
+    (tmp_path / AGENT_FILE).write_bytes(sac.dump())
     policy = Policy(settings)
     policy.load_flat(sac.actor_parameters())
     policy.save(RunDirectory(tmp_path).policy, GainRange(delta_kp_max=285.0), {"task": {"trip_penalty": 100.0}})
     start = load_initial_agent(tmp_path)
     np.testing.assert_array_equal(actor_parameters(start.agent), sac.actor_parameters())
-    restore(again, start.agent)
+    again.restore(start.agent)
     assert again.updates == 0
     adopted = start.adapt_settings(TrainingSettings())
     assert adopted.sac.hidden_size == 16 and adopted.task.trip_penalty == 100.0

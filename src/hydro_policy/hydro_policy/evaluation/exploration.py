@@ -20,7 +20,7 @@ from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_policy.task.mdp import ACTION_SIZE, REFERENCE_RATE, Step, observe, rewards
 
 if TYPE_CHECKING:  # evaluate does without
-    from hydro_policy.sac.sac import ReplayBuffer
+    from hydro_policy.sac.agent import ReplayBuffer
 
 EXPLORER_NAME = "exploring policy"
 SETTLING_STEPS = 50  # initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s

@@ -29,9 +29,8 @@ from numpy.typing import NDArray
 
 from hydro_core.files.atomic import write_atomic
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings, save_checkpoint
+from hydro_policy.sac.agent import Agent, Losses, ReplayBuffer, actor_parameters
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import Losses, ReplayBuffer, Sac, actor_parameters, dump, restore
-from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from hydro_sim.files.pairing import with_provenance
 
@@ -92,7 +91,7 @@ class LearnerMemory:
     """Shared memory of acting and learner process; created by the acting process and passed to each learner."""
 
     def __init__(self, settings: TrainingSettings) -> None:
-        self.capacity, length = settings.replay_capacity, len(agent(settings).state)
+        self.capacity, length = settings.replay_capacity, len(new_agent(settings).state)
         self._replay = self._block(ReplayBuffer.nbytes(OBSERVATION_SIZE, ACTION_SIZE, self.capacity))
         self._latest, self._good = self._block(LatestValue.nbytes(length)), self._block(LatestValue.nbytes(length))
         self._status = self._block(STATUS_DTYPE.itemsize)
@@ -106,12 +105,12 @@ class LearnerMemory:
         return replay, LatestValue(self._latest), LatestValue(self._good), np.frombuffer(self._status, STATUS_DTYPE)[0]
 
 
-def agent(settings: TrainingSettings, blob: bytes | None = None) -> Sac:
-    """Return a fresh agent, or the one of a file's content. Raises ValueError: as `sac.restore`."""
-    sac = Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac)
+def new_agent(settings: TrainingSettings, blob: bytes | None = None) -> Agent:
+    """Return a fresh agent, or the one of a file's content. Raises ValueError: as `Agent.restore`."""
+    agent = Agent(OBSERVATION_SIZE, ACTION_SIZE, settings.sac)
     if blob is not None:
-        restore(sac, blob)
-    return sac
+        agent.restore(blob)
+    return agent
 
 
 WAKE, END = "wake", "end"
@@ -138,7 +137,9 @@ class Learner:
     """Learning loop: updates, publication, rollback, checkpoints; independent of the process."""
 
     def __init__(self, memory: LearnerMemory, settings: TrainingSettings, run: RunDirectory | None = None) -> None:
-        self.settings, self._run, self.sac = settings, run, agent(settings)
+        from hydro_policy.sac.sac import Sac  # the acting process does without torch
+
+        self.settings, self._run, self.sac = settings, run, Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac)
         self.replay, self._latest, self._good, self._status = memory.open()
         start = self._latest.read()  # of a predecessor, or of a checkpoint
         if start is not None:
@@ -166,7 +167,7 @@ class Learner:
         the last state.
         """
         sac, status = self.sac, self._status
-        if not np.isfinite(sac.agent.actor.parameters.sum() + sac.agent.critics.parameters.sum()):
+        if not np.isfinite(sac.vectors["actor.parameters"].sum() + sac.vectors["critics.parameters"].sum()):
             raise FloatingPointError(f"the networks diverged at update {sac.updates}")
         self._latest.publish(sac.state)
         for name, loss in sac.losses._asdict().items():
@@ -196,10 +197,10 @@ class Learner:
         self._obey()
         best, good = None, self._good.read()
         if request.best and good is not None:
-            kept = agent(self.settings)
+            kept = new_agent(self.settings)
             kept.state[:] = good
-            best = dump(kept)
-        write_run(self._run, self.settings, dump(self.sac), self.replay, request.trainer, best)
+            best = kept.dump()
+        write_run(self._run, self.settings, self.sac.dump(), self.replay, request.trainer, best)
         self._status["checkpoints"] += 1
 
 
@@ -231,13 +232,6 @@ def write_run(
     policy.save(run.policy, settings.task.gains, notes, settings.made)
 
 
-def compile_updates(settings: SacSettings) -> None:
-    """Compile the updates through one update of a temporary learner, so that learning starts with the first episode."""
-    replay = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, 2 * settings.batch_size + 128)
-    replay.extend(np.zeros((settings.batch_size, replay.rows.shape[1]), np.float32))
-    Sac(OBSERVATION_SIZE, ACTION_SIZE, settings).learn(replay, 1)
-
-
 def run_learner(
     memory: LearnerMemory, settings: TrainingSettings, run: RunDirectory, requests: Connection, niceness: int
 ) -> None:
@@ -255,7 +249,9 @@ def run_learner(
                 requests.send(LearnerFault(error.strerror or str(error), disk=True))
 
     try:
-        compile_updates(settings.sac)
+        from hydro_policy.sac.sac import compile_update
+
+        compile_update(OBSERVATION_SIZE, ACTION_SIZE, settings.sac.hidden_size)
         learner = Learner(memory, settings, run)  # ready from here on
         while True:
             worked = learner.work()

@@ -27,12 +27,12 @@ from hydro_policy.learner_process.learner import (
     LearnerFault,
     LearnerMemory,
     SaveRequest,
-    agent,
+    new_agent,
     run_learner,
     write_run,
 )
 from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, TrainingSettings
-from hydro_policy.sac.sac import Losses, dump
+from hydro_policy.sac.agent import Losses
 
 NICENESS = 10  # of a learner for which the plant does not wait
 SETTLE_TIMEOUT = 60.0  # longest wait for a learner's due updates, s of wall clock
@@ -49,7 +49,7 @@ class LearnerSupervisor:
     """Supervisor of the learner: owns the shared memory and one learner process at a time.
 
     `settings`: settings of the run. `run`: folder of the checkpoints. `resumed`: checkpoint to resume, or None.
-    `start`: initial agent, as returned by `sac.dump`, or None: freshly initialised networks. `real_time`: whether the
+    `start`: initial agent, as returned by `Agent.dump`, or None: freshly initialised networks. `real_time`: whether the
     plant does not wait for the learner, which then has a lower priority than the acting processes.
 
     Raises ValueError: the agent of the checkpoint, or the initial one, is damaged or of another architecture.
@@ -73,7 +73,7 @@ class LearnerSupervisor:
         if resumed is not None:
             self.replay.restore(resumed.replay, resumed.produced)
             start = resumed.learner
-        self._copy = agent(settings, start)  # as last read
+        self._copy = new_agent(settings, start)  # as last read
         if start is not None:
             self._latest.publish(self._copy.state)
         self._deaths: list[float] = []  # times, s
@@ -131,9 +131,9 @@ class LearnerSupervisor:
         return bool(self._status["rollbacks"] >= self._status["rollbacks_asked"])
 
     def snapshot(self) -> bytes | None:
-        """Return the learner's complete state, as `sac.dump`; None before the first."""
+        """Return the learner's complete state, as `Agent.dump`; None before the first."""
         self.wait_for_updates()
-        return dump(self._copy) if self._read() else None
+        return self._copy.dump() if self._read() else None
 
     def _read(self) -> bool:
         state = self._latest.read()
@@ -161,8 +161,8 @@ class LearnerSupervisor:
                 break
 
     def store_good_agent(self, good: bytes) -> None:
-        """Store an agent, as returned by `sac.dump`, as the last good state."""
-        self._good.publish(agent(self._settings, good).state)
+        """Store an agent, as returned by `Agent.dump`, as the last good state."""
+        self._good.publish(new_agent(self._settings, good).state)
 
     def roll_back(self) -> None:
         """Request a rollback of the learner to the last good state."""
@@ -215,7 +215,7 @@ class LearnerSupervisor:
             self._process.join()
         if self.checkpoints == before and self._read():
             try:
-                write_run(self._run, self._settings, dump(self._copy), self.replay, trainer)
+                write_run(self._run, self._settings, self._copy.dump(), self.replay, trainer)
             except OSError as error:
                 raise self._unwritten(error.strerror or str(error)) from None
 

@@ -42,8 +42,8 @@ from hydro_policy.runs import report as curves
 from hydro_policy.runs.digest import platform_description, run_digest
 from hydro_policy.runs.initial_agent import AGENT_FILE, InitialAgent, load_initial_agent, shipped_agent
 from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, RunRecord, TrainingSettings, load_checkpoint
+from hydro_policy.sac.agent import Agent, ReplayBuffer, actor_parameters
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import ReplayBuffer, Sac, actor_parameters, dump
 from hydro_policy.supervision import plant_supervisor
 from hydro_policy.supervision.override import GainOverride
 from hydro_policy.task.cases import EvaluationSettings
@@ -124,7 +124,7 @@ def prepare(
 
 def write_initial_checkpoint(run: RunDirectory, settings: TrainingSettings, start: InitialAgent | None) -> None:
     """Write the first checkpoint: the initial agent, and an empty replay buffer."""
-    agent = start.agent if start else dump(Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac))
+    agent = start.agent if start else Agent(OBSERVATION_SIZE, ACTION_SIZE, settings.sac).dump()
     nothing = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, settings.sac.batch_size + 128)
     write_run(run, settings, agent, nothing, {})
 

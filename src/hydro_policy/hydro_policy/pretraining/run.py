@@ -33,9 +33,11 @@ from hydro_policy.pretraining.training import REFERENCE_GAINS, Pretraining, Pret
 from hydro_policy.runs.initial_agent import AGENT_FILE
 from hydro_policy.runs.report import write_page
 from hydro_policy.runs.run_directory import RunDirectory, Scalars, TrainingSettings, load_checkpoint, save_checkpoint
+from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import actor_parameters, dump
+from hydro_policy.sac.sac import compile_update
 from hydro_policy.task.cases import EvaluationSettings
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from hydro_policy.task.mdp.events import Randomisation
 from hydro_sim.files.pairing import raise_if_mismatched, with_provenance
 from hydro_sim.model.bench import NOMINAL
@@ -56,6 +58,8 @@ def pretrain(options: argparse.Namespace) -> int:
         training=settings, benches=source.benches, randomisation=randomisation, filter=source.filter,
         box=source.box_config(), evaluation=EvaluationSettings(amplitude=settings.task.size.force),
     )  # fmt: skip
+    if sentence := compile_update(OBSERVATION_SIZE, ACTION_SIZE, settings.sac.hidden_size):
+        print(sentence, file=sys.stderr)
     pretraining = Pretraining(simulation, source.simulated(), source.box_bench())
     if not options.resume:
         run.create().save_settings(settings)
@@ -163,7 +167,7 @@ def _train(
         entry = pretraining.run_round(each_step)
         scalars.add("pretraining", entry)
         if pretraining.finished or time.monotonic() > due:
-            best = pretraining.best or dump(pretraining.sac)
+            best = pretraining.best or pretraining.sac.dump()
             write_atomic(run.path / AGENT_FILE, with_provenance(best, settings.made))
             policy = Policy(settings.sac, settings.task.size)
             policy.load_flat(actor_parameters(best))
@@ -173,7 +177,7 @@ def _train(
                 "code": code_version(),
             }  # fmt: skip
             policy.save(run.policy, settings.task.gains, notes, settings.made)
-            agent = with_provenance(dump(pretraining.sac), settings.made)
+            agent = with_provenance(pretraining.sac.dump(), settings.made)
             save_checkpoint(run.latest, agent, pretraining.replay, pretraining.state())
             draw_curve(pretraining, run.path / CURVE_FILE)
             due = time.monotonic() + CHECKPOINT_INTERVAL

@@ -28,8 +28,9 @@ from hydro_policy.envs.environment import Environment, Episodes, Transitions
 from hydro_policy.envs.vector_env import VectorBench, vector_filter
 from hydro_policy.envs.vector_runs import VectorController
 from hydro_policy.runs.run_directory import Checkpoint, TrainingSettings
+from hydro_policy.sac.agent import ReplayBuffer
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import ReplayBuffer, Sac, dump, restore
+from hydro_policy.sac.sac import Sac
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, events
 from hydro_policy.task.mdp.events import Randomisation, RandomisedBench
@@ -85,7 +86,7 @@ class Pretraining:
         self.history: list[dict[str, Any]] = []
         """One entry per round: episode, mean return, trips, RMSE at each frequency, scores."""
         self.best_score = math.inf
-        self.best: bytes | None = None  # agent (`sac.dump`) with the best score so far; not part of `state`
+        self.best: bytes | None = None  # agent (`Agent.dump`) with the best score so far; not part of `state`
         self.policy.load_flat(self.sac.actor_parameters())
         self._examined: list[RandomisedBench | None] = [None]  # the known bench, then drawn ones
         fixed = vector_runs.fixed_gains(np.array(REFERENCE_GAINS), (settings.box.base_kp, settings.box.base_ki))
@@ -139,7 +140,7 @@ class Pretraining:
 
     def restore(self, checkpoint: Checkpoint, best: bytes | None) -> None:
         """Resume from a checkpoint of `state`, the agent and the replay buffer; `best` is the best agent until then."""
-        restore(self.sac, checkpoint.learner)
+        self.sac.restore(checkpoint.learner)
         self.replay.restore(checkpoint.replay, checkpoint.produced)
         state = checkpoint.trainer
         self.episode, self.history, self.best_score = state["episode"], state["history"], state["best_score"]
@@ -154,7 +155,7 @@ class Pretraining:
         ratio = np.where(np.isnan(rmse), TRIPPED_SCORE, rmse / self._reference)
         score = float(ratio.mean())
         if score < self.best_score:
-            self.best_score, self.best = score, dump(self.sac)
+            self.best_score, self.best = score, self.sac.dump()
         self.history.append(
             {
                 "episode": self.episode, "return": mean_return, "trips": trips, "score": score,

@@ -66,5 +66,5 @@ def platform_description() -> str:
     with suppress(OSError, StopIteration):
         lines = Path("/proc/cpuinfo").read_text(errors="replace").splitlines()
         cpu = next(line.partition(":")[2].strip() for line in lines if line.startswith("model name"))
-    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba"))
+    packages = ", ".join(f"{name} {version(name)}" for name in ("numpy", "numba", "torch"))
     return f"on {cpu}, Python {platform.python_version()}, {packages}"

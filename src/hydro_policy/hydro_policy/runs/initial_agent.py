@@ -10,8 +10,8 @@ from typing import Any
 
 from hydro_core.bench_scales import BenchScales, rescale
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
+from hydro_policy.sac.agent import Agent, settings_of
 from hydro_policy.sac.policy import load_policy
-from hydro_policy.sac.sac import Sac, dump, restore, settings_of
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, GainRange
 from hydro_sim.files.pairing import Provenance, read_provenance
@@ -27,7 +27,7 @@ REWARD_FIELDS = ("error_weight", "error_rate_weight", "force_scale", "force_rate
 class InitialAgent:
     """Pretrained agent from which a training starts, with the settings that it is valid for."""
 
-    agent: bytes  # agent as returned by `sac.dump`; its updates are counted from here
+    agent: bytes  # agent as returned by `Agent.dump`; its updates are counted from here
     sac: SacSettings  # settings of the algorithm that it was trained with
     gains: GainRange  # range of gains that its actions map to
     reward: dict[str, Any]
@@ -70,8 +70,8 @@ def load_initial_agent(path: Path) -> InitialAgent:
     try:
         content = found.read_bytes()
         sac = settings_of(content)
-        agent = Sac(OBSERVATION_SIZE, ACTION_SIZE, sac)
-        restore(agent, content)
+        agent = Agent(OBSERVATION_SIZE, ACTION_SIZE, sac)
+        agent.restore(content)
     except (OSError, KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{found} is not an agent: {error}") from error
     agent.updates = 0  # or its past updates would count as done for future transitions
@@ -79,5 +79,5 @@ def load_initial_agent(path: Path) -> InitialAgent:
     task = notes.get("task")
     reward = {name: float(task[name]) for name in REWARD_FIELDS if name in task} if isinstance(task, dict) else {}
     return InitialAgent(
-        dump(agent), sac, gains, reward, path, read_provenance(found) or read_provenance(run.policy), policy.size
+        agent.dump(), sac, gains, reward, path, read_provenance(found) or read_provenance(run.policy), policy.size
     )

@@ -4,7 +4,7 @@
 runs/NAME/
     config.yaml            settings, and which plant; `--resume` reads them back
     policy.safetensors     the best policy so far (`policy` module); before an examination: the latest
-    checkpoints/latest/    learner.safetensors   networks, optimizers, temperature (`sac.dump`)
+    checkpoints/latest/    learner.safetensors   networks, optimizers, temperature (`Agent.dump`)
                            replay.npy            stored transitions, oldest first
                            trainer.json          count of all ever stored; episode, steps, random states, best episode
     checkpoints/best/      learner.safetensors of the best policy so far: the complete agent, to start others from
@@ -46,7 +46,7 @@ from hydro_policy.task.mdp import BASE_GAINS, TaskSettings
 from hydro_sim.files.pairing import Provenance
 
 if TYPE_CHECKING:
-    from hydro_policy.sac.sac import ReplayBuffer
+    from hydro_policy.sac.agent import ReplayBuffer
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -232,7 +232,7 @@ class RunRecord:
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Checkpoint: agent (`sac.dump`), stored transitions [n, width], count of all ever stored, acting side's state."""
+    """Checkpoint: agent (`Agent.dump`), stored transitions [n, width], count of all ever stored, acting state."""
 
     learner: bytes
     replay: NDArray[np.float32]

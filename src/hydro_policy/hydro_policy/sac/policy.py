@@ -39,7 +39,7 @@ class Policy:
         self.biases = [np.zeros(o) for o in self.sizes[1:]]
 
     def load_flat(self, parameters: FloatArray) -> None:
-        """Load the actor's flat parameters (in the order of `sac.layers`), any float dtype."""
+        """Load the actor's flat parameters (in the order of `agent.layer_shapes`), any float dtype."""
         offset = 0
         for weight, bias in zip(self.weights, self.biases, strict=True):
             for array in (weight, bias):

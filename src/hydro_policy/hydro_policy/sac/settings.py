@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings of Soft Actor-Critic, without numba, which takes a second to import."""
+"""Settings of Soft Actor-Critic."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class SacSettings:
     target_entropy: Annotated[
         float, quantity("-", -10.0, 2.0, "Entropy in nats that alpha is steered to; usual: minus the actions")
     ] = -2.0
-    batch_size: Annotated[int, quantity("-", 1, 512, "Transitions per update; at most what the kernels hold")] = 256
+    batch_size: Annotated[int, quantity("-", 2, 65536, "Transitions per update")] = 256
     reward_scale: Annotated[float, quantity("-", 1e-6, 100.0, "Factor on rewards; values are then 1 to 100")] = 0.02
     log_std_min: Annotated[float, quantity("-", -20.0, 0.0, "Lower bound of the log standard deviation")] = -5.0
     log_std_max: Annotated[float, quantity("-", 0.0, 4.0, "Upper bound of the same")] = 2.0
