@@ -7,6 +7,7 @@ import fcntl
 import hashlib
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -102,6 +103,7 @@ def _make(ros: Path | None, needed: Mapping[str, str], kernels: str) -> None:
                     command += ["--base-paths", "src", "firmware", *chosen]
                     builds.append(beside.submit(_run, title, command, building))
             if "wheels" in needed:
+                _install_torch(fetching)
                 install("wheels of all programs", "-r", "requirements.txt")
                 STAMPS["wheels"].write_text(needed["wheels"])
             if "checks" in needed:
@@ -116,6 +118,23 @@ def _make(ros: Path | None, needed: Mapping[str, str], kernels: str) -> None:
                 STAMPS["build"].write_text(needed["build"])
         finally:
             beside.shutdown(wait=False, cancel_futures=True)
+
+
+def _install_torch(fetching: Mapping[str, str]) -> None:
+    """Install torch's build for processors by pip, which finds it by the machine's own configuration; else any build.
+
+    uv then takes what is installed. The other build, with CUDA, is announced before it is downloaded.
+    """
+    version = re.findall("(?m)^torch==(.+)", (ROOT / "requirements.txt").read_text())[0]
+    command = [str(PYTHON), "-m", "pip", "install", "--no-input", "--no-deps", "--no-compile"]
+    try:
+        _run("torch", [*command, f"torch=={version}+cpu"], fetching)
+    except SetupError:
+        if platform.machine() == "x86_64":
+            say(f"pip is configured to no index with torch {version}+cpu: what follows is the build with CUDA, 3 GB")
+        _run("torch", [*command, f"torch=={version}"], fetching)
+    sizes = re.findall(r"Downloading torch\S+ \(([\d.]+ \w+)\)", (WORK / "torch.log").read_text(errors="replace"))
+    say(f"torch: {sizes[0] if sizes else 'nothing'} downloaded")
 
 
 def _needed(ros: Path | None, checks: bool, kernels: str) -> dict[str, str]:
