@@ -215,6 +215,8 @@ def train(options: argparse.Namespace) -> int:
     more = " --episodes 160 --evaluate" if finished else ""
     print(f"\n{'Done' if finished else 'Ended early'} after {time.monotonic() - began:.0f} s: {run.page}")
     print(f"Next: ros2 run hydro_policy trainer --resume {run.path}{more}")
+    if found and options.demo:
+        print(f"\n{curves.WHICH_CONTROLLER}")
     if digest:
         print(f"\nThe same seed gives the same digest {platform_description()}:\nrun digest: {digest}")
     if plan.abort_reason:

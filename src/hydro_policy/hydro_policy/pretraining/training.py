@@ -90,7 +90,7 @@ class Pretraining:
         self.policy.load_flat(self.sac.actor_parameters())
         self._examined: list[RandomisedBench | None] = [None]  # the known bench, then drawn ones
         fixed = vector_runs.fixed_gains(np.array(REFERENCE_GAINS), (settings.box.base_kp, settings.box.base_ki))
-        known = self._rmse(fixed, self._examined)
+        known = self.rmse(fixed, self._examined)
         self._reference = np.where(np.isnan(known), settings.evaluation.amplitude / math.sqrt(2.0), known)
         if settings.randomisation is not None:
             self._draw_examined(fixed, settings.randomisation)
@@ -149,7 +149,7 @@ class Pretraining:
 
     def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
         """Evaluate the policy's mean action; adds an entry to `history`, and updates the best agent."""
-        rmse = self._rmse(
+        rmse = self.rmse(
             vector_runs.VectorPolicyController(self.policy, self.settings.training.task.gains), self._examined
         )
         ratio = np.where(np.isnan(rmse), TRIPPED_SCORE, rmse / self._reference)
@@ -171,7 +171,7 @@ class Pretraining:
         for number in range(round(wanted / COMPLETION_SHARE_MIN)):
             drawn = events.stream_seed(seed, number, events.EXAM_STREAM)
             bench = events.draw_bench(randomisation, self._episodes.source, drawn)
-            rmse = self._rmse(fixed, [bench])
+            rmse = self.rmse(fixed, [bench])
             if np.isfinite(rmse).all():
                 self._examined.append(bench)
                 self._reference = np.concatenate((self._reference, rmse))
@@ -180,7 +180,7 @@ class Pretraining:
         if wanted:
             raise ValueError(f"too few drawn benches bear the fixed gains {REFERENCE_GAINS}: draw without --randomise")
 
-    def _rmse(self, controller: VectorController, benches: Sequence[RandomisedBench | None]) -> FloatArray:
+    def rmse(self, controller: VectorController, benches: Sequence[RandomisedBench | None]) -> FloatArray:
         """Return the RMSE [N] on each bench and case, NaN where the box tripped; None: the known bench."""
         evaluation = self.settings.evaluation
         played = list(evaluation.cases) * len(benches)

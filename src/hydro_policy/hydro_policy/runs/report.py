@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime, timezone
@@ -17,6 +18,9 @@ from hydro_policy.runs.run_directory import RunDirectory, RunRecord
 from hydro_sim.plotting import BLUE, GRAY, GREEN, ORANGE, RED, add_legend, figure
 
 NONE_BETTER_MESSAGE = "no policy trained here was significantly better than the one it started from: that is kept"
+WHICH_CONTROLLER = """\
+Which controller? For tracking the compensated law, wherever the box has it: it needs no training. Learned gains are for
+a box with the paper's law alone, where they save the search of gains on the bench; the best fixed gains bound them."""
 _LOSSES = ("critics_loss", "actor_loss")
 
 
@@ -82,8 +86,9 @@ def draw_curve(record: RunRecord, path: Path) -> None:
             if kept:
                 ring = {"marker": "o", "markersize": 9, "markerfacecolor": "none", "linestyle": "none"}
                 axes[2].plot(*kept[-1], color=GREEN, label="kept", **ring)
-            axes[2].axhline(1.0, color=GRAY, linestyle="--", label="fixed gains")
-            axes[2].set(ylabel="RMSE / fixed gains'")
+            for name, ratio, style in _fixed_gains(record):
+                axes[2].axhline(ratio, color=GRAY, linestyle=style, label=name)
+            axes[2].set(ylabel="RMSE / fixed gains'", yscale="log")
         for axis, name, color in zip(axes[-len(_LOSSES) :], _LOSSES, (BLUE, ORANGE), strict=True) if learnt else ():
             losses = [event[name] for event in learnt]
             axis.plot([event["episode"] for event in learnt], losses, color=color, marker=".", label="last updates")
@@ -99,6 +104,19 @@ def draw_curve(record: RunRecord, path: Path) -> None:
         axes[-1].set(xlabel="episodes")
         axes[-1].xaxis.get_major_locator().set_params(integer=True)
         drawing.align_ylabels()
+
+
+def _fixed_gains(record: RunRecord) -> list[tuple[str, float, str]]:
+    """Return name, score and line style of fixed gains: the reference, and (15, 5) if the comparison has it."""
+    rmse: dict[str, list[float]] = {}
+    for event in record.events_of("trial"):
+        rmse.setdefault(event["controller"], []).append(event["rmse"] or math.inf)
+    lines = [("fixed gains", 1.0, "--")]
+    reference, base = rmse.get("fixed (90, 15)", []), rmse.get("fixed (15, 5)", [])
+    if base and len(base) == len(reference):
+        ratio = sum(own / other for own, other in zip(base, reference, strict=True)) / len(base)
+        lines += [("fixed (15, 5)", ratio, ":")] if math.isfinite(ratio) else []
+    return lines
 
 
 def _sentence(event: Mapping[str, Any]) -> str:
