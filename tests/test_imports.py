@@ -110,6 +110,16 @@ def test_help_of_a_command_imports_no_torch() -> None:
     assert helped("numpy numba scipy.optimize", *rest) == dict.fromkeys(rest, ("False", "True"))
 
 
+def test_only_the_learner_imports_torch() -> None:
+    """Acting, evaluation, the supervisor of the learner and the environment for other learners do without."""
+    modules = ("nodes.training", "nodes.evaluation", "learner_process.supervisor", "env", "runs.initial_agent")
+    probe = (
+        "import importlib, sys\nfor name in sys.argv[1:]: importlib.import_module(name)\nprint('torch' in sys.modules)"
+    )
+    words = [sys.executable, "-c", probe, *(f"hydro_policy.{name}" for name in modules)]
+    assert subprocess.run(words, capture_output=True, text=True, timeout=240, check=True).stdout.split()[-1] == "False"
+
+
 def test_every_benchmark_and_the_demo_import() -> None:
     """mypy lets them import modules that are not there."""
     found = [path.relative_to(ROOT) for path in (*ROOT.glob("benchmarks/**/*.py"), *ROOT.glob("demo/*.py"))]

@@ -19,6 +19,7 @@ import ctypes
 import multiprocessing
 import os
 import signal
+import sys
 from contextlib import suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
@@ -251,7 +252,8 @@ def run_learner(
     try:
         from hydro_policy.sac.sac import compile_update
 
-        compile_update(OBSERVATION_SIZE, ACTION_SIZE, settings.sac.hidden_size)
+        if sentence := compile_update(OBSERVATION_SIZE, ACTION_SIZE, settings.sac.hidden_size):
+            print(sentence, file=sys.stderr)
         learner = Learner(memory, settings, run)  # ready from here on
         while True:
             worked = learner.work()

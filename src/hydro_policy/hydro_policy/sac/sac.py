@@ -210,7 +210,7 @@ def flat_update(observations: int, actions: int, hidden: int) -> Callable[[Seque
 
 
 def package_file(observations: int, actions: int, hidden: int) -> Path:
-    """Return where the compiled update of these sizes is kept: beside this file, else in the user's cache.
+    """Return where the compiled update of these sizes is kept: where numba keeps kernels (`hydro_sim.jit`).
 
     Its name follows from the processor, torch and the source.
     """
@@ -219,7 +219,7 @@ def package_file(observations: int, actions: int, hidden: int) -> Path:
     flags = [line for line in Path("/proc/cpuinfo").read_text().splitlines() if line.startswith(("flags", "Features"))]
     content.update("".join(flags[:1]).encode())
     content.update(here.read_bytes() + inspect.getsource(layer_shapes).encode())
-    folder = here.parent / "__pycache__"
+    folder = Path(os.environ.get("NUMBA_CACHE_DIR") or here.parent / "__pycache__")
     if not os.access(folder if folder.exists() else here.parent, os.W_OK):
         folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "hydro"
     return folder / f"update-{observations}-{actions}-{hidden}-{content.hexdigest()}.pt2"
@@ -246,6 +246,9 @@ def compile_update(observations: int, actions: int, hidden: int) -> str:
         return "there is no C++ compiler: updates run uncompiled, at a fifth of their speed"
     from torch.fx.experimental.proxy_tensor import make_fx
 
+    if log := os.environ.get("HYDRO_COMPILATIONS"):
+        with open(log, "a") as lines:
+            lines.write(f"hydro_policy.sac.sac.update {observations} {actions} {hidden}\n")
     torch.set_num_threads(1)
     sac = Sac(observations, actions, SacSettings(hidden_size=hidden))
     steps = [torch.zeros(()) for _ in OPTIMIZED]
