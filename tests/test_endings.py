@@ -50,6 +50,7 @@ SHORT = "--plant emulator --episodes 1 --exam-every 0 --seed 3 --no-dashboard --
 
 @pytest.mark.graph
 @pytest.mark.study
+@pytest.mark.timeout(3600)
 @pytest.mark.usefixtures("domain")
 def test_twenty_runs_end_with_one_digest_however_busy_the_machine_is(tmp_path: Path) -> None:
     digests = set()
