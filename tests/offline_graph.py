@@ -20,7 +20,9 @@ from hydro_policy.evaluation.runner import Session
 from hydro_policy.learner_process.learner import CHUNK_UPDATES, Learner
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
+from hydro_policy.sac.agent import Agent
 from hydro_policy.supervision.plant_supervisor import Outputs
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from hydro_sim.box.box import Box, BoxConfig, law_state
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import Plant
@@ -36,28 +38,28 @@ class InlineLearner(LearnerSupervisor):
     alive = True
 
     def __init__(self, settings: TrainingSettings, start: bytes | None = None) -> None:
-        super().__init__(settings, RunDirectory(Path("unused")), start=start)
+        self.learner = Learner(
+            settings, RunDirectory(Path("unused")), start or Agent(OBSERVATION_SIZE, ACTION_SIZE, settings.sac).dump()
+        )
+        super().__init__(settings, RunDirectory(Path("unused")))
 
     def _start(self) -> None:
-        self._learner = Learner(self._memory, self._settings)
+        self.status = self.learner.status
+
+    def _receive(self, seconds: float = 0.0) -> None:
+        pass
+
+    def _send(self, request: str, argument: Any = None, patience: float = 0.0) -> None:
+        if request != "save" and self.learner.handle(request, argument):
+            self.status = self.learner.status
+
+    def check(self) -> None:
+        pass
 
     def work(self) -> None:
-        if self._learner.pending_updates >= CHUNK_UPDATES:
-            while self._learner.work():
-                pass
-
-    def wake(self) -> None:
-        pass
-
-    def restart_if_dead(self) -> None:
-        pass
-
-    def roll_back(self) -> None:
-        super().roll_back()
-        self._learner.roll_back()
-
-    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        return True
+        if self.learner.pending_updates >= CHUNK_UPDATES:
+            while self.learner.work():
+                self.status = self.learner.status
 
 
 class OfflineGraph(Outputs):

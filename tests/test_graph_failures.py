@@ -146,27 +146,6 @@ def test_unplugged_it_pauses_and_disarms_and_replugged_it_arms_anew(training: Tr
     probe.wait(training.acts)
 
 
-def test_learner_killed_acting_goes_on_and_learning_restarts_from_its_last_weights(training: Training) -> None:
-    probe, process = training.probe, training.process
-    begun = probe.last(TRAINING).updates
-    probe.spin(1.5)
-    before, told = probe.last(TRAINING).updates, process.text.count("learner lost (killed by signal 9)")
-    probe.forget()
-    os.kill(process.child("spawn_main"), signal.SIGKILL)
-    probe.wait(lambda: process.text.count("learner lost (killed by signal 9)") > told)
-    probe.wait(lambda: training.learns() and probe.last(TRAINING).updates > before, 60.0)
-    # A snapshot of the weights twice a second.
-    assert begun <= min(message.updates for _, message in probe.heard[TRAINING]), "no more than that is learnt again"
-    times = [seconds(gains.header.stamp) for _, gains in probe.heard[GAINS]]
-    steps = [gains.step for _, gains in probe.heard[GAINS]]
-    assert np.median(np.diff(times)) == pytest.approx(0.01, abs=1e-6) and np.median(np.diff(steps)) == 1
-    first, last = min(times), max(times)
-    recorded = lambda: read_bag(training.run.bag)[GAINS]["time"]  # noqa: E731
-    probe.wait(lambda: recorded().max(initial=0.0) > last)
-    gains = recorded()
-    assert np.diff(gains[(gains >= first) & (gains <= last)]).max() < 0.05, "acting went on"
-
-
 def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_stays_readable(training: Training) -> None:
     probe, process = training.probe, training.process
     probe.spin(0.1)
@@ -218,6 +197,23 @@ def test_a_disk_that_takes_no_checkpoint_ends_the_training_with_the_one_before(t
     second = training.checkpoint()
     assert second.produced >= before > first.produced
     assert second.trainer["progress"]["history"][: first.trainer["episode"]] == first.trainer["progress"]["history"]
+
+
+def test_a_learner_that_is_killed_ends_the_training_disarmed_from_whose_checkpoint_it_goes_on(
+    training: Training,
+) -> None:
+    before = training.checkpoint().produced
+    with ExitStack() as stack:
+        process = training.resumed(stack)
+        training.probe.forget()
+        os.kill(process.child("spawn_main"), signal.SIGKILL)
+        training.probe.wait(training.disarmed, 60.0)
+        assert process.process.wait(40.0) == 2
+    assert (
+        "error: the learner has ended (killed by signal 9): go on from its last checkpoint by --resume" in process.text
+    )
+    assert "Traceback" not in process.text and 'File "' not in process.text
+    assert training.checkpoint().produced > before
 
 
 def test_a_plant_node_that_is_killed_ends_the_training(training: Training) -> None:

@@ -5,7 +5,7 @@
                        ^   stopped: rollback to the last good policy; after too many in a row the run ends
                        └── interrupted: restarted
 
-    learner's state ──propose──> candidate ──accept──> last good ──(best score)──> best, on disk
+    learner's state ──propose──> candidate ──accept──> last good ──(best score)──> best, on disk: kept by the learner
 
 An examination is an evaluation of the policy's mean action on sines, at first also of fixed reference gains. Learning
 continues meanwhile, with the acting policy unchanged. `evaluation.runner.TrialRunner` runs the trials.
@@ -31,7 +31,6 @@ from hydro_policy.evaluation.runner import TrialRunner
 from hydro_policy.evaluation.trial import Comparison, Plan, Trial
 from hydro_policy.learner_process.supervisor import LearnerSupervisor
 from hydro_policy.runs.run_directory import RunRecord, TrainingSettings
-from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import Outputs, PlantSupervisor
 from hydro_policy.task.cases import Case, ExamSettings, Score
@@ -86,7 +85,7 @@ class TrainingPlan(Plan):
         outputs: Outputs,
         *,
         state: dict[str, Any] | None = None,
-        best: bytes | None = None,
+        best: FloatArray | None = None,
         record: RunRecord | None = None,
     ) -> None:
         self.settings, self.learner, self.record = settings, learner, record or RunRecord()
@@ -94,17 +93,15 @@ class TrainingPlan(Plan):
         self.abort_reason = ""  # why the run ended before its last episode; empty if it did not
         self.last_stop_reason = ""  # why a policy was last stopped; empty if none was
         self.rollbacks_in_a_row = 0  # rollbacks since a policy was last accepted
-        self.explorer = Explorer(settings, learner.replay, outputs, learner.new_weights, learner.wake)
+        self.explorer = Explorer(settings, learner.append, outputs, learner.new_weights)
         self.explorer.published = self.explorer.total_steps = self.progress.total_steps
         if state is not None:
             self.explorer.rng.bit_generator.state = state["random_state"]
         self.policy = self.explorer.policy
         self.examination: Comparison | None = None  # the present examination
         self.scores: list[Score] = []  # of the present examination
-        self._candidate: bytes | None = None
+        self._candidate: FloatArray | None = None  # flat parameters of actors
         self._good, self._best = best, best
-        if best is not None:
-            learner.store_good_agent(best)
         self._fresh = True  # no episode has passed since the box was armed
         self.set_trials(self._in_turn())
 
@@ -166,8 +163,9 @@ class TrainingPlan(Plan):
                 episode, self._fresh = self.explorer.current, False
                 progress.episode += 1
                 progress.last_return, progress.last_rmse = episode.episode_return, episode.force_rmse
-                learnt = {"entropy_coefficient": learner.entropy_coefficient, "updates": learner.updates}
-                losses = {f"{name}_loss": loss for name, loss in learner.losses._asdict().items()}
+                now = learner.status
+                learnt = {"entropy_coefficient": now.alpha, "updates": now.updates}
+                losses = {f"{name}_loss": loss for name, loss in now.losses._asdict().items()}
                 progress.history.append({**episode.summary(), **learnt, **losses})
                 self.record.add("episode", "", **progress.history[-1])
                 best = not exam.every and episode.lag < progress.best_lag
@@ -175,7 +173,7 @@ class TrainingPlan(Plan):
                     self.propose()
                     self._accept(best)
                 progress.best_lag = min(episode.lag, progress.best_lag)
-            learner.save(self.state(), best)
+            learner.save(self.state())
 
     def pause(self) -> None:
         """Count an interruption, as `Plan.pause`; the examination restarts at its first trial."""
@@ -189,8 +187,9 @@ class TrainingPlan(Plan):
         self.learner.wait_for_updates()
 
     def poll(self) -> str:
-        """Restart a dead learner; returns the warning about it, or an empty text, as `Plan.poll`."""
-        return self.learner.restart_if_dead() or ""
+        """Raise LearnerError if the learner has ended, as `Plan.poll`."""
+        self.learner.check()
+        return ""
 
     def state(self) -> dict[str, Any]:
         """Return the plan's state for a checkpoint (progress, random state of the exploration), as JSON types."""
@@ -236,9 +235,9 @@ class TrainingPlan(Plan):
         self.rollbacks_in_a_row += 1
         self.last_stop_reason, most = reason, self.settings.monitor.rollbacks_max
         sentence = f"policy stopped in {where}: {reason}; rolled back to the last good one"
-        if (good := self.good) is not None:
+        if self._good is not None:
             self.learner.roll_back()
-            self.policy.load_flat(good)
+            self.policy.load_flat(self._good)
             sentence += f" ({self.policy.digest()})"
         if self.rollbacks_in_a_row > most:
             self.abort_reason = f"{self.rollbacks_in_a_row} rollbacks in a row, the last: {reason}"
@@ -257,25 +256,25 @@ class TrainingPlan(Plan):
 
     def propose(self) -> FloatArray | None:
         """Make the learner's state the candidate; returns its actor's parameters, or None before the first state."""
-        self._candidate = self.learner.snapshot()
-        return None if self._candidate is None else actor_parameters(self._candidate)
+        self._candidate = self.learner.propose()
+        return self._candidate
 
     def _accept(self, best: bool = False) -> None:
         if self._candidate is not None:
             self._good = self._candidate
             self._best = self._good if best else self._best
-            self.learner.store_good_agent(self._good)
+            self.learner.accept(best)
             self.rollbacks_in_a_row = 0
 
     @property
     def good(self) -> FloatArray | None:
         """Parameters of the last good actor; None before there is one."""
-        return None if self._good is None else actor_parameters(self._good)
+        return self._good
 
     @property
     def best(self) -> FloatArray | None:
         """Parameters of the best actor so far; before there is one, of the last good one."""
-        return self.good if self._best is None else actor_parameters(self._best)
+        return self._good if self._best is None else self._best
 
     @property
     def improved(self) -> bool:

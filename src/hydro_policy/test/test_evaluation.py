@@ -20,7 +20,6 @@ from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation import report
 from hydro_policy.evaluation.gain_search import GridPlan, GridSettings
 from hydro_policy.evaluation.runner import TrialRunner
-from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.supervision.monitor import SafetyMonitor
 from hydro_policy.supervision.plant_supervisor import PlantSupervisor
 from hydro_policy.task import recorded
@@ -84,7 +83,7 @@ def test_better_is_better_by_more_than_the_noise(errors: list[float], best_error
 
 def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better(train) -> None:
     _, learner, session = train()
-    plan, came, fixed = session.plan, actor_parameters(learner.snapshot()), np.array([5.0, 12.0, 20.0, 40.0])
+    plan, came, fixed = session.plan, learner.propose(), np.array([5.0, 12.0, 20.0, 40.0])
     plan.progress.reference_rmse = fixed.tolist()
 
     def examined(share: float) -> bool:
@@ -96,9 +95,10 @@ def test_a_policy_that_came_is_handed_back_unless_another_is_surely_better(train
         )
 
     assert examined(0.5)
-    learner._learner.sac.agent.actor.parameters[:] *= 1.1
-    learner._learner.publish()
-    learnt = actor_parameters(learner.snapshot())
+    learner.learner.sac.vectors["actor.parameters"][:] *= 1.1
+    learner.learner._recent.append((0, learner.learner.sac.state.copy()))
+    learner.status = learner.learner.status
+    learnt = learner.propose()
     assert not examined(0.48), "better by less than the scatter"
     np.testing.assert_array_equal(plan.best, came)
     assert plan.progress.best_score == pytest.approx(0.5)

@@ -13,7 +13,6 @@ import pytest
 from hydro_core.signals import STATE_FIELDS, CorrectionStatus, Flag, FloatArray, Waveform
 from hydro_filter.controller.loop_filter import Result
 from hydro_policy.evaluation.runner import Phase
-from hydro_policy.sac.agent import actor_parameters
 from hydro_policy.sac.policy import Policy
 from hydro_policy.sac.settings import SacSettings
 from hydro_policy.supervision.monitor import MonitorSettings, SafetyMonitor
@@ -46,7 +45,7 @@ def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_fro
     assert session.finished and not session.plan.abort_reason
     exams, progress = session.plan.record.events_of("exam"), session.plan.progress
     assert [exam["episode"] for exam in exams] == [0, 1, 2] and exams[0]["best"]
-    assert learner.replay.total_appended == progress.total_steps == 300
+    assert learner.appended == progress.total_steps == 300
     assert len(progress.reference_rmse) == 4, "the fixed gains are examined once"
     for exam in exams:
         ratios = np.array(exam["rmse"]) / progress.reference_rmse
@@ -57,7 +56,7 @@ def test_a_policy_is_examined_before_between_and_after_and_nothing_is_learnt_fro
 def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_policy_acts_again(train) -> None:
     """With K_p up to 300 the middle of the range, where training starts, is unstable."""
     graph, learner, session = train(bench=BENCH, top=285.0)
-    started = actor_parameters(learner.snapshot())
+    started = learner.propose()
     graph.run(session, 12.0, learner)
     stops = session.plan.record.events_of("stop")
     assert session.finished and len(stops) == 4, "three rollbacks in a row are allowed"
@@ -66,7 +65,7 @@ def test_a_loop_that_cycles_is_stopped_before_the_box_trips_and_the_last_good_po
     assert f"rolled back to the last good one ({session.plan.policy.digest()})" in stops[-1]["sentence"]
     assert session.plan.policy.digest() == digest(started)
     assert graph.references[-1].waveform is Waveform.HOLD and graph.gains_published[-1][:2] == (0.0, 0.0)
-    rows, _ = learner.replay.snapshot()
+    rows, _ = learner.learner.replay.snapshot()
     assert (rows[:, -1] == 1).sum() == 4 and (rows[rows[:, -1] == 1, -2] == -1000.0).all()
 
 
@@ -77,14 +76,14 @@ def test_a_policy_that_learns_to_chatter_is_rolled_back_and_training_ends_well(t
     good = session.plan.good
     session._stop(session.plan.trial, "a test says so", np.zeros(14))
     assert session.phase is Phase.PAUSED and session.plan.policy.digest() == digest(good)
-    np.testing.assert_array_equal(actor_parameters(learner.snapshot()), good)
-    updates = learner.updates
+    np.testing.assert_array_equal(learner.propose(), good)
+    updates = learner.status.updates
     graph.run(session, 0.9, learner)
     assert session.phase is Phase.PAUSED, "calm first"
     assert {g[:2] for g in graph.gains_published[-80:]} == {(0.0, 0.0)}
     graph.run(session, 60.0, learner)
     assert session.finished and not session.plan.abort_reason and session.plan.progress.rollbacks >= 1
-    assert learner.updates >= updates, "the updates stay counted"
+    assert learner.status.updates >= updates, "the updates stay counted"
     assert session.plan.rollbacks_in_a_row == 0, "an accepted policy ends the row"
 
 
@@ -122,16 +121,16 @@ def test_an_override_acts_within_a_step_ends_in_time_and_is_neither_learnt_from_
     graph, learner, session = train(bench=BENCH, episodes=3)
     graph.run(session, 1.5, learner)
     assert session.phase is Phase.TRAINING
-    began, produced = len(graph.gains_published), learner.replay.total_appended
+    began, produced = len(graph.gains_published), learner.appended
     assert "(40, 7) for 0.5 s" in session.override.start(40.0, 7.0, 0.5, graph.time)
     graph.run(session, 0.5, learner)
     assert {g[:2] for g in graph.gains_published[began:]} == {(25.0, 2.0)} and len(graph.gains_published) > began + 45
-    assert learner.replay.total_appended == produced + 1, "the step that it interrupted was still the policy's"
+    assert learner.appended == produced + 1, "the step that it interrupted was still the policy's"
     assert session.plan.explorer.current.overridden_steps >= 45 and session.override.description == "K_p 40, K_i 7"
     graph.run(session, 0.1, learner)
     assert session.override.description == "no"
     assert (25.0, 2.0) not in {g[:2] for g in graph.gains_published[-8:]}
-    rows, _ = learner.replay.snapshot()
+    rows, _ = learner.learner.replay.snapshot()
     acted_before = rows[produced + 1, 11:13]
     np.testing.assert_allclose(acted_before, GainRange().action(25.0, 2.0), atol=1e-6)
     assert "override" not in json.dumps(session.plan.state())
@@ -150,13 +149,11 @@ def test_while_the_filters_model_does_not_fit_fixed_gains_are_held_and_nothing_i
     graph, learner, session = train(bench=BENCH, episodes=1)
     graph.run(session, 0.8, learner)
     assert session.phase is Phase.TRAINING
-    before, said = learner.replay.total_appended, len(graph.sentences)
+    before, said = learner.appended, len(graph.sentences)
     graph.answer = Result.uncorrected(CorrectionStatus.MISMATCH)
     graph.run(session, 0.1, learner)
     assert [gains[:2] for gains in graph.gains_published[-8:]] == [FALLBACK_GAIN_CHANGES] * 8
-    assert learner.replay.total_appended <= before + 1 and graph.sentences[said].startswith(
-        "the filter's model is not this bench's"
-    )
+    assert learner.appended <= before + 1 and graph.sentences[said].startswith("the filter's model is not this bench's")
     graph.run(session, 0.4, learner)
     graph.answer = PASSED
     graph.run(session, 3.0, learner)

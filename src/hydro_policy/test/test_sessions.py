@@ -26,9 +26,9 @@ def test_training_runs_its_episodes_and_every_transition_and_curve_is_what_happe
     graph, learner, session = train(record=RunRecord(tmp_path / "run.json"))
     graph.run(session, 10.0, learner)
     progress = session.plan.progress
-    assert session.phase is Phase.FINISHED and progress.episode == 2 and learner.updates > 150
-    assert progress.total_steps == learner.replay.total_appended == 300
-    rows, _ = learner.replay.snapshot()
+    assert session.phase is Phase.FINISHED and progress.episode == 2 and learner.status.updates > 150
+    assert progress.total_steps == learner.appended == 300
+    rows, _ = learner.learner.replay.snapshot()
     observations, following, actions, rewards, terminated = np.split(rows, np.cumsum([13, 13, 2, 1]), axis=1)
     assert not terminated.any(), "an episode's end is a truncation"
     np.testing.assert_array_equal(following[:-1], observations[1:])
@@ -84,7 +84,7 @@ def test_lost_plant_pauses_within_150_ms_and_asks_to_disarm(train) -> None:
 def test_a_trip_is_a_termination_with_penalty(train) -> None:
     graph, learner, session = train(amplitude_min=300.0, config=BoxConfig(load_force_limit=150.0))
     graph.run(session, 2.0, learner)
-    rows, _ = learner.replay.snapshot()
+    rows, _ = learner.learner.replay.snapshot()
     ended = rows[rows[:, -1] == 1]
     assert len(ended) and (ended[:, -2] == -1000.0).all()
     assert any("force_limit" in sentence for sentence in graph.sentences)

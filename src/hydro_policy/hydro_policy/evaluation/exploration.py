@@ -7,9 +7,9 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydro_core.process.realtime import Latency
 from hydro_core.signals import FloatArray
@@ -18,9 +18,6 @@ from hydro_policy.runs.run_directory import TrainingSettings
 from hydro_policy.sac.policy import Policy
 from hydro_policy.supervision.plant_supervisor import Outputs
 from hydro_policy.task.mdp import ACTION_SIZE, REFERENCE_RATE, Step, observe, rewards
-
-if TYPE_CHECKING:  # evaluate does without
-    from hydro_policy.sac.agent import ReplayBuffer
 
 EXPLORER_NAME = "exploring policy"
 SETTLING_STEPS = 50  # initial steps of an episode excluded from its RMSE: the references' cross-fade takes 0.3 s
@@ -74,8 +71,8 @@ class Explorer(Controller):
     Its end is a truncation: the next state's value is bootstrapped. Only a trip by the box or a stop by the monitor is
     a termination.
 
-    `settings`: settings of the run. `replay`: replay buffer. `outputs`: outputs to the graph. `new_weights`: returns
-    the actor's parameters if they are newer, else None. `wake`: notifies the learner of a transition.
+    `settings`: settings of the run. `append`: stores a transition, a row of the replay buffer. `outputs`: outputs to
+    the graph. `new_weights`: returns the actor's parameters if they are newer, else None.
     """
 
     name = EXPLORER_NAME
@@ -83,10 +80,9 @@ class Explorer(Controller):
     def __init__(
         self,
         settings: TrainingSettings,
-        replay: ReplayBuffer,
+        append: Callable[[NDArray[np.float32]], None],
         outputs: Outputs,
         new_weights: Callable[[], FloatArray | None],
-        wake: Callable[[], None],
     ) -> None:
         self.task, self.gain_range = settings.task, settings.task.gains
         self.policy = Policy(settings.sac, settings.task.size)
@@ -95,7 +91,7 @@ class Explorer(Controller):
         self.published = 0  # number of gains sent so far, from any source: the message's step
         self.total_steps = 0  # of all episodes
         self.current = EpisodeRecord(episode=0)  # the present episode, or the last one
-        self._replay, self._outputs, self._new_weights, self._wake = replay, outputs, new_weights, wake
+        self._append, self._outputs, self._new_weights = append, outputs, new_weights
         self._observation: FloatArray | None = None
         self._action: FloatArray = np.zeros(ACTION_SIZE)
 
@@ -116,7 +112,6 @@ class Explorer(Controller):
             reward = math.nan if before is None else self._end_step(before, taken, step, observation)
             weights = int(self.policy.digest(), 16)
             self._outputs.publish_step(self.published - 1, self.task.gains.gains(mean), reward, weights)
-        self._wake()
 
     def override_gains(self, gains: tuple[float, float], step: Step | None = None, *, under_way: bool = False) -> None:
         """Publish these gain changes instead of the policy's; the transitions that follow are not stored.
@@ -138,7 +133,7 @@ class Explorer(Controller):
             after = observe(sample, self._action, self.task.size)
             after = after if np.isfinite(after).all() else self._observation  # terminal: its value is not used
             transition = np.concatenate((self._observation, after, self._action, (rewards.trip(self.task), 1.0)))
-            self._replay.extend(transition.astype(np.float32)[np.newaxis])
+            self._append(transition.astype(np.float32))
         self.discard_action()
 
     def discard_action(self) -> None:
@@ -152,7 +147,7 @@ class Explorer(Controller):
         reward = float(rewards.tracking(self.task, step.error, step.error_rate))
         if step.whole and np.isfinite(after).all():
             transition = np.concatenate((before, after, action, (reward, 0.0)))
-            self._replay.extend(transition.astype(np.float32)[np.newaxis])
+            self._append(transition.astype(np.float32))
         if under_way:
             self.current.add(step, reward)
             self.total_steps += 1

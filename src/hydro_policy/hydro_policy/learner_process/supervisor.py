@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Supervision of the learner process by the acting process: start, watch, restart, stop.
+"""Supervision of the learner process by the acting process: start, requests, status, stop.
 
 Calls block only in `stop`, and while the plant waits as well (`synchronous`).
 """
@@ -9,6 +9,7 @@ from __future__ import annotations
 import select
 import signal
 import time
+from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing import resource_tracker
@@ -17,69 +18,44 @@ from multiprocessing.process import BaseProcess
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydro_core.errors import UserError
 from hydro_core.signals import FloatArray
-from hydro_policy.learner_process.learner import (
-    END,
-    SPAWN_CONTEXT,
-    WAKE,
-    LearnerFault,
-    LearnerMemory,
-    SaveRequest,
-    new_agent,
-    run_learner,
-    write_run,
-)
-from hydro_policy.runs.run_directory import Checkpoint, RunDirectory, TrainingSettings
-from hydro_policy.sac.agent import Losses
+from hydro_policy.learner_process.learner import SPAWN_CONTEXT, LearnerFault, LearnerStatus, run_learner
+from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
 
 NICENESS = 10  # of a learner for which the plant does not wait
 SETTLE_TIMEOUT = 60.0  # longest wait for a learner's due updates, s of wall clock
-RESTARTS_MAX, RESTART_WINDOW = 5, 60.0  # more restarts than this within so many seconds are a systematic fault
+HANG_TIMEOUT = 60.0  # s without room for a request, after which a learner counts as hanging
 STOP_TIMEOUT = 15.0  # s, for the last checkpoint
-_POLL_PERIOD = 2e-4  # polling period of the learner's progress during a wait, s
 
 
 class LearnerError(UserError):
-    """Fatal failure of the learner: it dies repeatedly, cannot start, or cannot write a checkpoint."""
+    """Fatal failure of the learner: it has died, hangs, cannot start, or cannot write a checkpoint."""
 
 
 class LearnerSupervisor:
-    """Supervisor of the learner: owns the shared memory and one learner process at a time.
+    """Supervisor of the learner process, which begins with the latest checkpoint of the run.
 
-    `settings`: settings of the run. `run`: folder of the checkpoints. `resumed`: checkpoint to resume, or None.
-    `start`: initial agent, as returned by `Agent.dump`, or None: freshly initialised networks. `real_time`: whether the
-    plant does not wait for the learner, which then has a lower priority than the acting processes.
-
-    Raises ValueError: the agent of the checkpoint, or the initial one, is damaged or of another architecture.
+    `settings`: settings of the run. `run`: its folder. `appended`: number of transitions in that checkpoint.
+    `real_time`: whether the plant does not wait for the learner, which then has a lower priority than the acting
+    processes.
     """
 
     def __init__(
-        self,
-        settings: TrainingSettings,
-        run: RunDirectory,
-        resumed: Checkpoint | None = None,
-        start: bytes | None = None,
-        *,
-        real_time: bool = True,
+        self, settings: TrainingSettings, run: RunDirectory, appended: int = 0, *, real_time: bool = True
     ) -> None:
-        self._settings, self._run = settings, run
+        self._settings, self._run, self.appended = settings, run, appended
+        self.status = LearnerStatus()
+        """Last status that has arrived."""
         self._niceness = NICENESS if real_time else 0
-        self._memory = LearnerMemory(settings)
-        self.replay, self._latest, self._good, self._status = self._memory.open()
-        for name in Losses._fields:
-            self._status[name] = np.nan
-        if resumed is not None:
-            self.replay.restore(resumed.replay, resumed.produced)
-            start = resumed.learner
-        self._copy = new_agent(settings, start)  # as last read
-        if start is not None:
-            self._latest.publish(self._copy.state)
-        self._deaths: list[float] = []  # times, s
-        self.restarts = 0
+        self._rollbacks, self._seen = 0, (-1, 0)  # requested; updates and rollbacks of the weights returned last
+        self._fault: LearnerFault | None = None
+        self._outbox: deque[tuple[str, Any]] = deque()
+        self._read_at = time.monotonic()  # when the learner last had room for a request, s
         self.synchronous = False
-        """Whether the plant waits for the learner: then reads and checkpoints include all updates that are due."""
+        """Whether the plant waits for the learner: then weights and checkpoints include all updates that are due."""
         self._start()
 
     @property
@@ -94,154 +70,141 @@ class LearnerSupervisor:
 
     @property
     def ready(self) -> bool:
-        """Whether the present learner process has published weights."""
-        return bool(self._status["ready"])
+        """Whether the learner has sent weights."""
+        self._receive()
+        return self.status.actor is not None
 
-    @property
-    def updates(self) -> int:
-        """Number of gradient updates so far."""
-        return int(self._status["updates"])
-
-    @property
-    def checkpoints(self) -> int:
-        """Number of checkpoints written since the start."""
-        return int(self._status["checkpoints"])
-
-    @property
-    def entropy_coefficient(self) -> float:
-        """Entropy coefficient alpha."""
-        return float(self._status["alpha"])
-
-    @property
-    def losses(self) -> Losses:
-        """Losses of the last updates; NaN before the first."""
-        return Losses(*(float(self._status[name]) for name in Losses._fields))
+    def append(self, row: NDArray[np.float32]) -> None:
+        """Send a transition, a row of the replay buffer."""
+        self.appended += 1
+        self._send("append", row)
 
     def new_weights(self) -> FloatArray | None:
         """Return the actor's flat parameters if they are newer than at the last call, else None.
 
         Also None until a requested rollback is done: earlier weights must not act.
         """
-        if not self._rolled_back or not self._latest.changed or not self._read():
+        self._receive()
+        status, news = self.status, (self.status.updates, self.status.rollbacks)
+        if status.actor is None or not self._rolled_back or news == self._seen:
             return None
-        return self._copy.actor_parameters()
+        self._seen = news
+        return status.actor.astype(np.float64)
 
     @property
     def _rolled_back(self) -> bool:
-        return bool(self._status["rollbacks"] >= self._status["rollbacks_asked"])
-
-    def snapshot(self) -> bytes | None:
-        """Return the learner's complete state, as `Agent.dump`; None before the first."""
-        self.wait_for_updates()
-        return self._copy.dump() if self._read() else None
-
-    def _read(self) -> bool:
-        state = self._latest.read()
-        if state is not None:
-            self._copy.state[:] = state
-        return state is not None
-
-    def wake(self) -> None:
-        """Notify the learner of a stored transition."""
-        self._ask(WAKE)
+        return self.status.rollbacks >= self._rollbacks
 
     def wait_for_updates(self) -> None:
         """If `synchronous`, wait until the learner has finished all updates and rollbacks that are due."""
-        due = self._settings.updates_due(self.replay.total_appended)
-        self._await(lambda: self._rolled_back and self.updates >= due)
+        due = self._settings.updates_due(self.appended)
+        self._await(lambda: self._rolled_back and self.status.updates >= due)
 
-    def _await(self, done: Callable[[], bool]) -> None:
-        """If `synchronous`, wait for `done`, at most a minute, and not for a learner that is dead, starting, or failed.
+    def propose(self) -> FloatArray | None:
+        """Make the learner's state the candidate; returns its actor's parameters, or None before the first weights."""
+        self.wait_for_updates()
+        self._receive()
+        if self.status.actor is None:
+            return None
+        self._send("propose", self.status.updates)
+        return self.status.actor.astype(np.float64)
 
-        A learner that has failed has said so, which `restart_if_dead` reads.
-        """
-        give_up = time.monotonic() + SETTLE_TIMEOUT
-        while self.synchronous and not done() and self._status["ready"] and time.monotonic() < give_up and self.alive:
-            if self._requests.poll(_POLL_PERIOD):
-                break
-
-    def store_good_agent(self, good: bytes) -> None:
-        """Store an agent, as returned by `Agent.dump`, as the last good state."""
-        self._good.publish(new_agent(self._settings, good).state)
+    def accept(self, best: bool) -> None:
+        """Make the candidate the last good agent, and if `best` the best so far."""
+        self._send("accept", best)
 
     def roll_back(self) -> None:
-        """Request a rollback of the learner to the last good state."""
-        self._status["rollbacks_asked"] += 1  # of this learner or its successor
-        self.wake()
+        """Request a rollback of the learner to the last good agent."""
+        self._rollbacks += 1
+        self._send("roll back")
 
-    def save(self, trainer: dict[str, Any], best: bool = False) -> bool:
-        """Request a checkpoint, written on return if `synchronous`; returns False if the learner is not running."""
+    def save(self, trainer: dict[str, Any]) -> None:
+        """Request a checkpoint, written on return if `synchronous`."""
         self.wait_for_updates()
-        wanted, asked = self.checkpoints + 1, self._ask(SaveRequest(trainer, best))
-        if asked:
-            self._await(lambda: self.checkpoints >= wanted)
-        return asked
+        wanted = self.status.checkpoints + 1
+        self._send("save", trainer)
+        self._await(lambda: self.status.checkpoints >= wanted)
 
-    def restart_if_dead(self) -> str | None:
-        """Restart a dead learner from its last state; returns a message for the user, None if the learner runs.
-
-        Raises LearnerError: it keeps dying, cannot start, or cannot write a checkpoint.
-        """
-        with suppress(OSError, EOFError):
-            while self._requests.poll():
-                fault: LearnerFault = self._requests.recv()
-                if fault.disk:
-                    raise self._unwritten(fault.sentence)
-                self._said = fault.sentence
+    def check(self) -> None:
+        """Raise LearnerError if the learner has ended, or cannot write a checkpoint."""
+        self._receive()
+        if self._fault is not None and self._fault.disk:
+            raise self._unwritten()
         if self.alive:
-            return None
-        if self._said and not self.ready:
-            raise LearnerError(f"the learner cannot begin: {self._said}")
-        code, now = self._process.exitcode, time.monotonic()
-        how = f"killed by signal {-code}" if code is not None and code < 0 else self._said or f"exit code {code}"
-        self._deaths = [*(death for death in self._deaths if now - death <= RESTART_WINDOW), now]
-        if len(self._deaths) > RESTARTS_MAX:
-            raise LearnerError(f"the learner died {len(self._deaths)} times within {RESTART_WINDOW:.0f} s ({how})")
-        self.restarts += 1
-        self._requests.close()
-        self._start()
-        return f"learner lost ({how}): it restarts from update {self.updates}"
+            return
+        code = self._process.exitcode
+        how = self._fault.sentence if self._fault else f"killed by signal {-code}" if code and code < 0 else f"{code}"
+        if self.status.actor is None:
+            raise LearnerError(f"the learner cannot begin: {how}")
+        raise LearnerError(
+            f"the learner has ended ({how}): go on from its last checkpoint by --resume {self._run.path}"
+        )
 
     def stop(self, trainer: dict[str, Any]) -> None:
-        """Write the last checkpoint and end the process; for a dead or hanging learner this process writes it.
+        """Let the learner write the last checkpoint, and end it; one that hangs is killed.
 
         Raises LearnerError: the checkpoint cannot be written.
         """
-        before = self.checkpoints
-        asked = self._ask(SaveRequest(trainer, best=False), STOP_TIMEOUT) and self._ask(END, STOP_TIMEOUT)
-        self._process.join(STOP_TIMEOUT if asked else 0.5)
-        if self._process.is_alive():
-            self._process.kill()
-            self._process.join()
-        if self.checkpoints == before and self._read():
-            try:
-                write_run(self._run, self._settings, self._copy.dump(), self.replay, trainer)
-            except OSError as error:
-                raise self._unwritten(error.strerror or str(error)) from None
+        give_up = time.monotonic() + STOP_TIMEOUT
+        with suppress(LearnerError):
+            self._send("save", trainer)
+            self._send("end")
+            while self.alive and time.monotonic() < give_up:
+                self._receive(0.05)
+            self._receive()
+        self._process.kill()
+        self._process.join()
+        if self._fault is not None and self._fault.disk:
+            raise self._unwritten()
 
-    def _ask(self, request: SaveRequest | str, patience: float = 0.0) -> bool:
-        """Send a request; returns False if the learner is dead, or its pipe is full because it does not read.
+    def _receive(self, seconds: float = 0.0) -> None:
+        """Receive what has arrived, and send what waits; waits `seconds` s for the first message."""
+        self._flush()
+        with suppress(OSError, EOFError):
+            while self._pipe.poll(seconds):
+                message = self._pipe.recv()
+                if isinstance(message, LearnerFault):
+                    self._fault = message
+                else:
+                    self.status = message
+                seconds = 0.0
 
-        A writable pipe has room for any of the requests. `patience` in s.
+    def _await(self, done: Callable[[], bool]) -> None:
+        """If `synchronous`, wait for `done`, at most a minute, and not for a learner that is starting or has ended."""
+        give_up = time.monotonic() + SETTLE_TIMEOUT
+        while self.synchronous and not done() and self.status.actor is not None and self._fault is None and self.alive:
+            self._receive(0.05)
+            if time.monotonic() > give_up:
+                break
+
+    def _send(self, request: str, argument: Any = None) -> None:
+        self._outbox.append((request, argument))
+        self._flush()
+
+    def _flush(self) -> None:
+        """Send what the pipe has room for; the rest waits, since a learner that writes a checkpoint does not read.
+
+        Raises LearnerError: it has read nothing for `HANG_TIMEOUT`. One that has ended is the business of `check`.
         """
         room = select.poll()
         with suppress(OSError):
-            room.register(self._requests, select.POLLOUT)
-            if room.poll(round(1e3 * patience)):
-                self._requests.send(request)
-                return True
-        return False
+            room.register(self._pipe, select.POLLOUT)
+            while self._outbox and room.poll(0):
+                self._pipe.send(self._outbox.popleft())
+                self._read_at = time.monotonic()
+        if not self._outbox:
+            self._read_at = time.monotonic()
+        elif self.alive and time.monotonic() - self._read_at > HANG_TIMEOUT:
+            raise LearnerError(f"the learner hangs: go on from its last checkpoint by --resume {self._run.path}")
 
-    def _unwritten(self, why: str) -> LearnerError:
+    def _unwritten(self) -> LearnerError:
+        why = self._fault.sentence if self._fault else ""
         return LearnerError(f"no checkpoint can be written ({why}): make room and use --resume {self._run.path}")
 
     def _start(self) -> None:
-        self._status["ready"] = 0.0
-        self._said = ""  # by a learner that ends
-        self._requests: Connection
-        self._requests, theirs = SPAWN_CONTEXT.Pipe()
-        # The arguments are small: more than the pipe to the child holds would wait for it.
-        arguments = (self._memory, self._settings, self._run, theirs, self._niceness)
+        self._pipe: Connection
+        self._pipe, theirs = SPAWN_CONTEXT.Pipe()
+        arguments = (self._settings, self._run, theirs, self._niceness)
         self._process: BaseProcess = SPAWN_CONTEXT.Process(
             target=run_learner, args=arguments, name="learner", daemon=True
         )

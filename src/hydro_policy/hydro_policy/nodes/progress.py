@@ -100,10 +100,10 @@ class TrainingProgress(TrialProgress):
         message.phase = int(self.phase())
         message.episode, message.step = current.episode, current.steps
         message.episode_return, message.force_rmse = progress.last_return, progress.last_rmse
-        message.entropy_coefficient = self._learner.entropy_coefficient
-        losses = self._learner.losses
+        message.entropy_coefficient = self._learner.status.alpha
+        losses = self._learner.status.losses
         message.critic_loss, message.actor_loss, message.temperature_loss = losses
-        message.updates = self._learner.updates
+        message.updates = self._learner.status.updates
         message.learner_alive = self._learner.alive
         self._publisher.publish(message)
 
@@ -120,7 +120,7 @@ class TrainingProgress(TrialProgress):
             rmse = now.force_rmse if math.isfinite(now.force_rmse) else done.last_rmse
             figures = [f"return {now.episode_return:.0f}"]
             figures += [f"RMSE {rmse:.1f} N"] if math.isfinite(rmse) else []  # none before the first samples
-            figures += [f"{self._learner.updates} updates" if self._learner.alive else "LEARNER DOWN"]
+            figures += [f"{self._learner.status.updates} updates" if self._learner.alive else "LEARNER DOWN"]
             figures += [f"latency p99 {1e3 * self._node.timing.age.percentile(99):.1f} ms"]
         self._describe(state if session.phase is Phase.WAITING else described, figures)
         bar.refresh()
@@ -144,9 +144,8 @@ class TrainingProgress(TrialProgress):
             "error peak [N]": monitor.peak,
             "chatter [A/s]": monitor.chatter,
             "certificate violations": monitor.violations,
-            "learner restarts": learner.restarts,
-            "updates": learner.updates,
-            "transitions": learner.replay.total_appended,
+            "updates": learner.status.updates,
+            "transitions": learner.appended,
             "inference": plan.explorer.inference.summary(),
             "response": node.timing.response.summary(),
             "state to gains": node.timing.age.summary(),

@@ -179,13 +179,14 @@ def train(options: argparse.Namespace) -> int:
             policies=(run.policy,),
         )  # fmt: skip
         real_time = options.plant == "external" or plant.real_time
-        learner = LearnerSupervisor(settings, run, checkpoint, start.agent if start else None, real_time=real_time)
+        learner = LearnerSupervisor(settings, run, checkpoint.produced if checkpoint else 0, real_time=real_time)
         if uncovered := start_plant(
             stack, node, plant, settings.task.gains, run.path, run.path, page=options.dashboard
         ):
             record.add("uncovered", uncovered)
         state = (checkpoint.trainer or None) if checkpoint else None
-        best = (run.best / AGENT_FILE).read_bytes() if checkpoint and (run.best / AGENT_FILE).is_file() else None
+        best_file = run.best / AGENT_FILE
+        best = actor_parameters(best_file.read_bytes()) if checkpoint and best_file.is_file() else None
         plan = TrainingPlan(settings, learner, node, state=state, best=best, record=record)
         supervisor = node.supervisor(
             plant_supervisor.learner_requirement(lambda: learner.ready), rearm=may_rearm(options)

@@ -23,9 +23,6 @@ from hydro_core.settings import check
 from hydro_core.signals import FloatArray
 from hydro_policy.sac.settings import SacSettings
 
-_COUNTER_BYTES = 64  # a separate cache line
-_MARGIN_ROWS = 64  # oldest rows of a full buffer that are not drawn: the other process may be overwriting them
-
 
 class ReplayBuffer:
     """Replay buffer of the last `capacity` transitions, one row each, so that a batch is one gather.
@@ -33,36 +30,20 @@ class ReplayBuffer:
         row        [ observation | next observation | action | reward, terminated ]   float32
         example    13 + 13 + 2 + 2 = 30 numbers; 288 000 rows (the paper's 160 x 1800) are 35 MB
 
-    It can be in memory shared between the acting process, which appends, and the learner process, which draws: nothing
-    is sent, and nothing is lost when the learner dies.
-
-    `observations`, `actions`: sizes of an observation and of an action. `capacity`: rows kept, more than 64; the oldest
-    are overwritten. `memory`: writable buffer of `nbytes` bytes, initially zero. None: private memory.
+    `observations`, `actions`: sizes of an observation and of an action. `capacity`: rows kept; the oldest are
+    overwritten.
     """
 
-    def __init__(self, observations: int, actions: int, capacity: int, memory: object | None = None) -> None:
-        self.widths = (observations, observations, actions, 1, 1)
-        if memory is None:
-            memory = bytearray(self.nbytes(observations, actions, capacity))
-        self._counter = np.frombuffer(memory, np.int64, 1)  # type: ignore[call-overload]
-        rows = np.frombuffer(memory, np.float32, capacity * sum(self.widths), _COUNTER_BYTES)  # type: ignore[call-overload]
-        self.rows: NDArray[np.float32] = rows.reshape(capacity, -1)
-
-    @staticmethod
-    def nbytes(observations: int, actions: int, capacity: int) -> int:
-        """Return the bytes needed for a buffer of these sizes."""
-        return _COUNTER_BYTES + 4 * capacity * (2 * observations + actions + 2)
-
-    @property
-    def total_appended(self) -> int:
+    def __init__(self, observations: int, actions: int, capacity: int) -> None:
+        self.rows = np.zeros((capacity, 2 * observations + actions + 2), np.float32)
+        self.total_appended = 0
         """Number of transitions ever appended."""
-        return int(self._counter[0])
 
     def __len__(self) -> int:
         return min(self.total_appended, len(self.rows))
 
     def extend(self, rows: NDArray[np.float32]) -> None:
-        """Append rows [n, width] in order, overwriting the oldest. Only one process may do this.
+        """Append rows [n, width] in order, overwriting the oldest.
 
         Raises ValueError: a row holds NaN or infinity, which would corrupt every network at the first batch with it.
         """
@@ -71,14 +52,11 @@ class ReplayBuffer:
         kept = rows[-len(self.rows) :]
         first = self.total_appended + len(rows) - len(kept)
         self.rows[(first + np.arange(len(kept))) % len(self.rows)] = kept
-        self._counter[0] = first + len(kept)  # after the rows: a reader that sees the count finds them complete
+        self.total_appended = first + len(kept)
 
     def draw(self, shape: tuple[int, ...], rng: np.random.Generator) -> NDArray[np.int64]:
         """Draw indices in `rows` of stored transitions, uniformly, with replacement."""
-        produced, capacity = self.total_appended, len(self.rows)
-        if produced < capacity:
-            return rng.integers(produced, size=shape)
-        return (produced - 1 - rng.integers(capacity - _MARGIN_ROWS, size=shape)) % capacity
+        return rng.integers(len(self), size=shape)
 
     def snapshot(self) -> tuple[NDArray[np.float32], int]:
         """Return a copy of all stored rows, oldest first, and `total_appended` at that moment."""
@@ -90,7 +68,7 @@ class ReplayBuffer:
     def restore(self, rows: NDArray[np.float32], produced: int) -> None:
         """Restore the result of `snapshot`, so that appending continues at the same row."""
         self.rows[(produced - len(rows) + np.arange(len(rows))) % len(self.rows)] = rows
-        self._counter[0] = produced
+        self.total_appended = produced
 
 
 OPTIMIZED = ("actor", "critics", "entropy")
