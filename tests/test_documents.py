@@ -123,3 +123,9 @@ def test_homes_in_the_table_of_concepts_are_there() -> None:
     homes = [home for row in table.splitlines() for home in re.findall(r"`([\w./]+)`", row.split("|")[-2])]
     assert len(homes) > 40
     assert [home for home in homes if not ((ROOT / home).exists() if "/" in home else pydoc.locate(home))] == []
+
+
+def test_decisions_have_at_most_fifteen_lines() -> None:
+    assert [
+        path.name for path, text in PAGES.items() if path.parent.name == "decisions" and text.count("\n") > 15
+    ] == []
