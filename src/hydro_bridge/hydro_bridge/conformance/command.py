@@ -11,18 +11,16 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from functools import partial
 from pathlib import Path
-from typing import Any
 from unittest.mock import patch
 
 import pytest
-from tqdm import tqdm
 
-from hydro_bridge.conformance.host import Host
+from hydro_bridge.conformance.host import LATENCY, Host
 from hydro_bridge.serial.port import Port, PortSettings
 from hydro_core.cli.console import Table, add_json_argument, command, make_parser, progress
 from hydro_core.errors import UserError
 from hydro_core.files import bench_digest
-from hydro_core.signals import Flag
+from hydro_core.signals import Command, Flag
 
 PASS, FAIL, LEFT_OUT, INCONCLUSIVE = "pass", "FAIL", "left out", "not judged"
 COLUMNS = {
@@ -39,14 +37,13 @@ PYTEST = (
 
 
 class Run:
-    """Plugin of pytest that gives the rules a session with the box, and keeps a row of the table for each case.
+    """Plugin of pytest that opens a session with the box for each rule, and keeps a row of the table.
 
     `session`: opens one; `only`: beginnings of the names of cases.
     """
 
     def __init__(self, session: Callable[[], Host], only: Sequence[str] = ()) -> None:
-        self.session, self.only = session, tuple(only)
-        self.rows: list[dict[str, str]] = []
+        self.session, self.only, self.rows = session, tuple(only), list[dict[str, str]]()
         self.error: BaseException | None = None
 
     def start(self) -> list[dict[str, str]]:
@@ -61,13 +58,12 @@ class Run:
     def pytest_collection_modifyitems(self, items: list[pytest.Function]) -> None:
         """Name the cases area.rule, and select some."""
         for item in items:
-            name = item.callspec.id if hasattr(item, "callspec") else item.name.removeprefix("test_")
-            item.name = name if "." in name else name.replace("_", ".", 1)
+            item.name = item.callspec.id if hasattr(item, "callspec") else item.name[5:].replace("_", ".", 1)
         names = [item.name for item in items]
         if unknown := [each for each in self.only if not any(name.startswith(each) for name in names)]:
             self.error = UserError(f"--only: no case begins with {', '.join(unknown)}; there is {', '.join(names)}")
         items[:] = [] if unknown else [item for item in items if item.name.startswith(self.only or "")]
-        self.bar: tqdm[Any] = progress(total=len(items), label="conformance", unit=" cases")
+        self.bar = progress([None] * len(items), label="conformance", unit=" cases")
 
     @pytest.fixture
     def host(self) -> Iterator[Host]:
@@ -75,11 +71,11 @@ class Run:
         self.now = session = self.session()
         session.open()
         yield session
-        session.close()
-        for state in session.states:
-            if state.flags & Flag.TRIPPED and state.flags & Flag.FORCE_LIMIT:
-                limit = f"{state.values[2]:.0f} N, beyond its limit of {session.details.load_force_limit:g} N"
-                pytest.fail(f"it tripped at {limit}: are sign and null of the valve right?")
+        session.command = Command()
+        session.receive(10 + LATENCY, times=1)
+        if any(state.flags & Flag.TRIPPED and state.flags & Flag.FORCE_LIMIT for state in session.states):
+            limit = f"its limit of {session.details.load_force_limit:g} N"
+            pytest.fail(f"it tripped at {limit}: are sign and null of the valve right?")
 
     def pytest_runtest_makereport(self, item: pytest.Function, call: pytest.CallInfo[None]) -> None:
         """Keep the row of a case; what its last stage raised counts."""
@@ -87,20 +83,13 @@ class Run:
             says = item.callspec.params["says"] if hasattr(item, "callspec") else item.function.__doc__
             self.rows.append({"case": item.name, "result": PASS, "found": "", "says": str(says).rstrip(".")})
         self.bar.update(call.when == "teardown")
-        if call.excinfo is None:
-            return
-        error = call.excinfo.value
-        error = call.excinfo.value
-        late = isinstance(error, AssertionError) and self.now.longest_read_gap > 0.015
-        if isinstance(error, pytest.skip.Exception):
-            self.rows[-1]["result"] = LEFT_OUT
-        elif late or isinstance(error, pytest.xfail.Exception):
-            self.rows[-1]["result"] = INCONCLUSIVE
-        elif isinstance(error, AssertionError | pytest.fail.Exception):
-            self.rows[-1]["result"] = FAIL
-        else:
-            self.error, item.session.shouldstop = error, True
-        self.rows[-1]["found"] = str(error)
+        if call.excinfo is not None:
+            error = call.excinfo.value
+            late = isinstance(error, AssertionError) and self.now.longest_read_gap > 0.015
+            others = {pytest.skip.Exception: LEFT_OUT, pytest.xfail.Exception: INCONCLUSIVE}
+            self.rows[-1] |= {"result": INCONCLUSIVE if late else others.get(type(error), FAIL), "found": str(error)}
+            if not isinstance(error, (AssertionError, pytest.fail.Exception, *others)):
+                self.error, item.session.shouldstop = error, True
 
 
 @command()

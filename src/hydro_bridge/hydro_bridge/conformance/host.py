@@ -11,21 +11,20 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import fields, replace
-from functools import cache
 from itertools import product
-from math import comb
+from math import comb, isfinite
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from numpy.polynomial import Polynomial
 
 from hydro_bridge.serial import protocol
 from hydro_bridge.serial.port import Port
-from hydro_bridge.serial.protocol import GAIN_FIELDS, PAPER_LAW, BoxInfo, BoxLaw, State
+from hydro_bridge.serial.protocol import GAIN_FIELDS, PAPER_LAW, BoxDetails, BoxInfo, BoxLaw, State
 from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
-from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, FloatArray, Law, Waveform
+from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, FloatArray, Waveform
 from hydro_core.signals import ReferenceSignal as Signal
 
 FLAGS = ("ARMED", "TRIPPED", "WATCHDOG", "FILTER_STALE")
@@ -34,8 +33,8 @@ SHAPING = ("a_0", "a_1", "a_2", "a_3", "a_4", "C_1", "C_2")
 COUNTS = ("refused", "refused_references")
 ENDS = [(*ends, *[FADE_TIME] * 99) for ends in product((FADE_TIME - 1e-6, FADE_TIME + 1e-6), repeat=3)]
 """Ends of the fades from arming on [s]: each is the 300th or the 301st sample of its fade."""
+FADE = [-20.0, 70.0, -84.0, 35.0, 0.0, 0.0, 0.0, 0.0]  # 35 s^4 - 84 s^5 + 70 s^6 - 20 s^7
 _RATIOS = np.sqrt([1.0, 3.0, 7.0, 13.0])
-_FADE = Polynomial([0.0, 0.0, 0.0, 0.0, 35.0, -84.0, 70.0, -20.0])
 LATENCY = 50
 """Samples that a line may take."""
 SILENCE = 3.0
@@ -82,14 +81,6 @@ def evaluate_signal(signal: Signal, time: FloatArray) -> FloatArray:
     return signal.offset * (order == 0.0) + signal.amplitude * shape
 
 
-def playable(signal: Signal, force_range: float) -> bool:
-    """Return whether a box plays a reference."""
-    finite = np.isfinite([signal.frequency, signal.phase, signal.amplitude, signal.offset]).all()
-    timed = signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
-    within = signal.amplitude >= 0.0 and signal.amplitude + abs(signal.offset) <= force_range * (1.0 + 1e-9)
-    return bool(finite and timed and within)
-
-
 def expected_reference(time: FloatArray, asked: Sequence[Signal], start: float, fades: Sequence[float]) -> FloatArray:
     """Return f_r and its derivatives, shape (5, n), from arming on at the force `start` [N].
 
@@ -99,7 +90,7 @@ def expected_reference(time: FloatArray, asked: Sequence[Signal], start: float, 
     for fade in fades:
         new, now = asked[begin], time[begin:] - time[begin]
         last, following = evaluate_signal(old, time[begin:] - time[before]), evaluate_signal(new, now)
-        share = [_FADE.deriv(n)(now / FADE_TIME) / FADE_TIME**n for n in range(5)]
+        share = [np.polyval(np.polyder(FADE, n), now / FADE_TIME) / FADE_TIME**n for n in range(5)]
         mixed = last + [sum(comb(n, j) * share[j] * (following - last)[n - j] for j in range(n + 1)) for n in range(5)]
         found[:, begin:] = np.where(now < fade, mixed, following)
         changes = [n for n in range(begin + int(np.sum(now < fade)), len(time)) if asked[n] != new]
@@ -109,29 +100,18 @@ def expected_reference(time: FloatArray, asked: Sequence[Signal], start: float, 
     return found
 
 
-@cache
-def within_limits(law: BoxLaw, command: Command) -> tuple[FloatArray, FloatArray, int]:
-    """Return gains and `SHAPING` of a command within limits, those of the safe state, and how many were beyond."""
-    low, safe, high, _ = ([0.0, 0.0, *numbers] for numbers in law.shaping_limits)
-    low[:2], high[:2] = (law.delta_kp_min, law.delta_ki_min), (law.delta_kp_max, law.delta_ki_max)
-    asked, base = np.array([command.delta_kp, command.delta_ki, *command.shaping]), np.zeros(9)
-    base[:2] = law.base_kp, law.base_ki
-    taken = np.clip(np.where(np.isfinite(asked), asked, safe), low, high)
-    return base + taken, base + safe, int(np.sum(asked != taken))
-
-
 def gain_and_stiffness(
     bench: Mapping[str, Any], position: Any, pressure_a: Any, pressure_b: Any, current: Any
 ) -> tuple[FloatArray, FloatArray]:
     """Return g [N/s/A] for currents of this sign, and the stiffness [N/m] of the velocity term h."""
-    high, low, alpha, area = (bench[name] for name in ("supply_pressure", "tank_pressure", "area_ratio", "piston_area"))
-    per_volume_a = bench["bulk_modulus"] * area / (bench["dead_volume_a"] + area * position)
-    volume_b = bench["dead_volume_b"] + alpha * area * (bench["stroke"] - position)
-    per_volume_b = alpha * bench["bulk_modulus"] * area / volume_b
-    flow = bench["valve_nominal_flow"] / bench["valve_nominal_current"]
+    its = SimpleNamespace(**bench)
+    high, low, large, small = its.supply_pressure, its.tank_pressure, its.piston_area, its.area_ratio * its.piston_area
+    per_a = its.bulk_modulus * large / (its.dead_volume_a + large * position)
+    per_b = its.bulk_modulus * small / (its.dead_volume_b + small * (its.stroke - position))
     drops = np.where(current >= 0.0, (high - pressure_a, pressure_b - low), (pressure_a - low, high - pressure_b))
-    flows = flow * np.sign(drops) * np.sqrt(np.abs(drops) / (0.5 * bench["valve_nominal_pressure_drop"]))
-    return per_volume_a * flows[0] + per_volume_b * flows[1], area * (per_volume_a + alpha * per_volume_b)
+    openings = np.sign(drops) * np.sqrt(np.abs(drops) / (0.5 * its.valve_nominal_pressure_drop))
+    flows = its.valve_nominal_flow / its.valve_nominal_current * openings
+    return per_a * flows[0] + per_b * flows[1], large * per_a + small * per_b
 
 
 class Host:
@@ -146,19 +126,17 @@ class Host:
         moving: bool = False,
     ) -> None:  # fmt: skip
         self.line, self.clock, self.bench, self.moving, self.decoder = line, clock, bench, moving, Decoder()
-        self.info, self.details, self.hello = BoxInfo(), protocol.BoxDetails(), -1
+        self.info, self.details, self.hello = BoxInfo(), BoxDetails(), -1
         """What the box says of itself, and the sequence of its last HELLO; -1: none came."""
-        self.laws = dict.fromkeys(Law, PAPER_LAW)
         self.law: BoxLaw | None = None
-        """Records of the laws, the paper's with the gains of HELLO; the compensated one, None: it was not told."""
+        """Its compensated law."""
         self.feedback, self.force_scale = "load_force", 1.0
         """Field of the feedback force; ratio of the box's load force limit to the nominal one, 700 N."""
         self.states: list[State] = []
         self.acting: list[tuple[Command, int]] = []
         """For each state the command in force, the safe one behind a HELLO, and the samples since it came."""
-        self.command, self.sequence = Command(), 0
-        self.commands: dict[int, Command] = {}
-        """All that were sent, by sequence number."""
+        self.command, self.sequence, self.commands = Command(), 0, dict[int, Command]()
+        """The last command, its sequence number, and all that were sent, by sequence number."""
         self.read_at, self.longest_read_gap = clock(), 0.0
         """Time of the last read, and the longest one between two [s]."""
         self._frames, self._in_force = deque[protocol.Frame](), (Command(), 0)
@@ -172,43 +150,37 @@ class Host:
                 before, self.read_at = self.read_at, self.clock()
                 self.longest_read_gap = max(self.longest_read_gap, self.read_at - before)
                 if self.read_at - last > SILENCE and not self._frames:
-                    told = f"the box sent no STATE for {SILENCE:g} s"
-                    counts = self.decoder.counts
+                    told, counts = f"the box sent no STATE for {SILENCE:g} s", self.decoder.counts
                     raise SilenceError(told if counts.frames else no_frames_message(counts, LinkCounts(), SILENCE))
-            frame = self._frames.popleft()
-            if isinstance(frame, protocol.Hello) and frame.info is not None:
-                self.info, self.hello, self._in_force = frame.info, frame.sequence, (Command(), -1)
-                gains = {name: getattr(frame.info, name) for name in GAIN_FIELDS}
-                self.laws, self.law = dict.fromkeys(Law, replace(PAPER_LAW, **gains)), None
-            elif isinstance(frame, protocol.Details):
-                self.details, self.feedback = frame.details, f"{frame.details.feedback or 'load'}_force"
-                self.force_scale = frame.details.load_force_limit / 700.0 or 1.0
-            elif isinstance(frame, protocol.LawFrame):
-                self.laws[frame.law] = self.law = frame.record
-            elif isinstance(frame, State):
-                if not self.states or frame.last_command != self.states[-1].last_command:
-                    self._in_force = self.commands.get(frame.last_command, Command()), -1
-                self._in_force = self._in_force[0], self._in_force[1] + 1
-                self.acting.append(self._in_force)
-                self.states.append(frame)
-                last = self.clock()
-                for _ in range(0 if len(self.states) % every else times):
-                    self.send()
+            match frame := self._frames.popleft():
+                case protocol.Hello(info=BoxInfo() as info):
+                    self.info, self.law, self.hello, self._in_force = info, None, frame.sequence, (Command(), -1)
+                case protocol.Details():
+                    self.details, self.feedback = frame.details, f"{frame.details.feedback or 'load'}_force"
+                    self.force_scale = frame.details.load_force_limit / 700.0 or 1.0
+                case protocol.LawFrame():
+                    self.law = frame.record
+                case State():
+                    if not self.states or frame.last_command != self.states[-1].last_command:
+                        self._in_force = self.commands.get(frame.last_command, Command()), -1
+                    self._in_force = self._in_force[0], self._in_force[1] + 1
+                    self.acting.append(self._in_force)
+                    self.states.append(frame)
+                    last = self.clock()
+                    for _ in range(0 if len(self.states) % every else times):
+                        self.send()
 
     def send(self, ahead: int = 1, noise: bytes = b"", **changes: Any) -> None:
         """Send the last command with changes, `ahead` of the last number; leave the case out if it may not be sent.
 
-        Forces are scaled to this box, and a correction so that it moves no more, in proportion, than on the nominal
-        bench, whose g is 10.53e6 N/s/A.
+        Forces and corrections are scaled from the nominal box to this one, whose limits are 700 N and 50 mA.
         """
         if changes.get("arm") and not self.moving:
             pytest.skip("may move the piston: --moving")
         if changes.get("law") and not self.law:
             pytest.skip("the box runs the paper's law only")
-        if self.bench is not None and "delta_u" in changes:
-            supply = 0.5 * self.bench["supply_pressure"]
-            gain, _ = gain_and_stiffness(self.bench, 0.5 * self.bench["stroke"], supply, supply, 1.0)
-            changes["delta_u"] *= min(1.0, self.force_scale * 10.53e6 / float(gain))
+        if "delta_u" in changes:
+            changes["delta_u"] *= self.info.valve_current_max / 0.05
         signal = {entry.name: changes.pop(entry.name) for entry in fields(Signal) if entry.name in changes}
         signal |= {name: self.force_scale * signal[name] for name in signal.keys() & {"amplitude", "offset"}}
         self.command = replace(self.command, reference=replace(self.command.reference, **signal), **changes)
@@ -228,7 +200,7 @@ class Host:
 
     def greet(self, within: int = 300) -> None:
         """Send HELLO, whose answer must come `within` samples, and receive 30 samples."""
-        begin, self.details, self.hello = len(self.states), protocol.BoxDetails(), -1
+        begin, self.details, self.hello = len(self.states), BoxDetails(), -1
         self.line.write(protocol.encode_hello(0, int(1e6 * self.clock())))
         while self.hello < 0:
             assert len(self.states) < begin + within, f"no HELLO came within {within} samples"
@@ -245,21 +217,25 @@ class Host:
             self.stream(20)
         self.states, self.acting, self.longest_read_gap = self.states[-1:], self.acting[-1:], 0.0
 
-    def close(self) -> None:
-        """Disarm the box."""
-        self.command = Command()
-        self.receive(10 + LATENCY, times=1)
-
     def check(self, *names: str) -> None:
         """Check these fields of all states by the commands in force."""
         states, now, counts = self.states, columns(self.states), self.decoder.counts
+        paper = replace(PAPER_LAW, **{name: getattr(self.info, name) for name in GAIN_FIELDS})
+        laws = paper, self.law or paper
         rows, signals, shown = [], [Signal()], (False, False, True)
         for state, (command, age) in zip(states, self.acting, strict=True):
-            law, late = self.laws[state.law_state.law], bool(state.flags & Flag.WATCHDOG)
-            taken, safe, beyond = within_limits(law, command)
-            acting = safe if late or command.law is not state.law_state.law else taken
-            plays = playable(command.reference, self.details.force_range or 1e6)
-            signals.append(command.reference if plays else signals[-1])
+            number, late = state.law_state.law, bool(state.flags & Flag.WATCHDOG)
+            law = laws[number]
+            low, safe, high, _ = ([0.0, 0.0, *numbers] for numbers in law.shaping_limits)
+            low[:2], high[:2] = (law.delta_kp_min, law.delta_ki_min), (law.delta_kp_max, law.delta_ki_max)
+            asked = np.array([command.delta_kp, command.delta_ki, *command.shaping])
+            taken = np.clip(np.where(np.isfinite(asked), asked, safe), low, high)
+            acting = list(safe if late or command.law is not number else taken)
+            signal, most = command.reference, (1.0 + 1e-9) * (self.details.force_range or 1e6)
+            timed = signal.waveform is Waveform.HOLD or 0.0 < signal.frequency < 1000.0
+            plays = timed and isfinite(signal.frequency + signal.phase)
+            plays = plays and 0.0 <= signal.amplitude <= most - abs(signal.offset)
+            signals.append(signal if plays else signals[-1])
             armed, tripped, disarm_seen = shown
             if age > 200:
                 shown = False, tripped or armed, False
@@ -267,8 +243,9 @@ class Host:
                 shown = False, False, True
             elif not armed and not tripped:
                 shown = disarm_seen, not disarm_seen, disarm_seen
-            values = beyond + (not abs(command.delta_u) <= self.info.delta_u_max) + (not plays)
-            rows.append((*shown[:2], age > 50, late or not command.filter_fresh, (age == 0) * values,
+            refused = np.sum(asked != taken) + (not abs(command.delta_u) <= self.info.delta_u_max) + (not plays)
+            acting[:2] = law.base_kp + acting[0], law.base_ki + acting[1]
+            rows.append((*shown[:2], age > 50, late or not command.filter_fresh, (age == 0) * refused,
                          (age == 0) * (not plays), *acting[:2], *safe[2:], *acting[2:],
                          0.0 if age > 3 else np.nan_to_num(command.delta_u), age in (50, 200)))  # fmt: skip
         *rest, delta_u, rounding = np.array(rows, float).T  # rounding: a time-out may come a sample later
@@ -281,8 +258,8 @@ class Host:
         for first, end in np.flatnonzero(np.diff(now["ARMED"], prepend=0.0, append=0.0)).reshape(-1, 2):
             part, time = slice(first, end), 1e-6 * np.array([state.time_us for state in states[first:end]])
             told = {name: column[part] for name, column in now.items()}
-            law, shaping = self.laws[states[first].law_state.law], np.array(rest[-len(SHAPING) :])[:, part]
-            points = [expected_reference(time, signals[1:][part], told[self.feedback][0], fades) for fades in ENDS]
+            law, shaping = laws[states[first].law_state.law], np.array(rest[-len(SHAPING) :])[:, part]
+            points = (expected_reference(time, signals[1:][part], told[self.feedback][0], fades) for fades in ENDS)
             tries = [self._armed(law, told, each, shaping, delta_u[part]) for each in points]
             misfits = [sum(np.abs(each[name][0] - told[name]).sum() for name in (*REFERENCE, "f_c'")) for each in tries]
             for name, pair in tries[int(np.argmin(misfits))].items():
@@ -298,45 +275,40 @@ class Host:
         """Return right values and tolerances of the force law's fields from arming on, n samples.
 
         `points`: f_r and its derivatives, shape (5, n). `shaping`: wanted, shape (7, n). `delta_u`: in force, A. What
-        the law computes from other fields follows from these as the box tells them, `now`. The integral is frozen
-        (anti-windup) while the current is at its limit and K_i (f_r - f) has the current's sign.
+        follows from other fields follows from these as the box tells them, `now`. The integral is frozen while the
+        current is at its limit and K_i (f_r - f) has its sign.
         """
-        force, period, limit = self.force_scale, SAMPLE_PERIOD, self.info.valve_current_max
+        force, limit = self.force_scale, self.info.valve_current_max
         right: dict[str, tuple[Any, Any]] = {}
         for name, wanted, off in zip(REFERENCE, points, (0.01, 0.5), strict=False):
             right[name] = wanted, force * off + 1e-4 * np.abs(wanted)
 
-        low, safe, high, rate = np.array(law.shaping_limits)
-        steps = []
-        for n, name in enumerate(SHAPING):
-            before = np.append(safe[n], now[name][:-1])
-            step = np.clip(shaping[n] - before, -rate[n] * period, rate[n] * period)
-            right[name] = before + step, 2e-6 * max(abs(low[n]), abs(high[n]))
-            steps.append((now[name] - before) / period)
-
-        terms: list[Any] = [now["reference_force"], now["reference_force_rate"], points[2], 1.0, points[3]]
-        slopes: list[Any] = [terms[1], points[2], points[3], 0.0, points[4]]
-        value, slope = np.zeros((2, len(points.T)))
-        for name, step, term, rises in zip(SHAPING, steps, terms, slopes, strict=False):
-            value += now[name] * term
-            slope += now[name] * rises + step * term
+        low, safe, high, rate = np.array(law.shaping_limits)[..., np.newaxis]
+        told = np.array([now[name] for name in SHAPING])
+        before = np.column_stack((safe, told[:, :-1]))
+        steps = np.clip(shaping - before, -rate * SAMPLE_PERIOD, rate * SAMPLE_PERIOD)
+        right |= zip(SHAPING, zip(before + steps, 2e-6 * np.maximum(abs(low), abs(high)), strict=True), strict=True)
+        value, rise, one = now["reference_force"], now["reference_force_rate"], np.ones(len(points.T))
+        terms = np.array([value, rise, points[2], one, points[3]])
+        slopes = np.array([rise, points[2], points[3], 0.0 * one, points[4]])
+        value = (told[:5] * terms).sum(axis=0)
+        slope = (told[:5] * slopes + (told - before)[:5] / SAMPLE_PERIOD * terms).sum(axis=0)
         right["f_c"] = np.clip(value, -law.reference_max, law.reference_max), 0.02 * force
         right["f_c'"] = np.where(np.abs(value) > law.reference_max, 0.0, slope), 1.0 * force
 
         if bench := self.bench:
             paper, gain, current = self.info.integral == "paper", now["integral_gain"], now["valve_current"]
-            error = now["f_c"] - now[self.feedback]
-            missed = now["reference_force"] - now[self.feedback]
+            error, missed = now["f_c"] - now[self.feedback], now["reference_force"] - now[self.feedback]
             frozen = (np.abs(current) >= (1.0 - 1e-6) * limit) & (current * gain * missed > 0.0)
-            summed = period * np.where(frozen, 0.0, missed if paper else gain * missed)
+            summed = SAMPLE_PERIOD * np.where(frozen, 0.0, missed if paper else gain * missed)
             integral = (np.cumsum(summed) - summed) * (gain if paper else 1.0)
             alpha, position = bench["area_ratio"], np.clip(now["piston_position"], 0.0, bench["stroke"])
             rest, pressures = bench["supply_pressure"] / (1.0 + alpha), (now["pressure_a"], now["pressure_b"])
             least = 0.1 * gain_and_stiffness(bench, bench["spring_rest_position"], alpha * rest, rest, 1.0)[0]
             moving = gain_and_stiffness(bench, position, *pressures, 1.0)[1] * now["piston_velocity"]
             driven = now["f_c'"] + now["proportional_gain"] * error + integral + now["C_1"] * moving
-            gained = now["C_2"] * gain_and_stiffness(bench, position, *pressures, driven)[0]
-            nominal = driven / np.maximum(gained, least)
+            valve_gain, _ = gain_and_stiffness(bench, position, *pressures, driven)
+            nominal = driven / np.maximum(now["C_2"] * valve_gain, least)
             right["nominal_valve_current"] = nominal, 2e-7 + 1e-4 * np.abs(nominal)
 
         whole = now["nominal_valve_current"] + delta_u

@@ -18,7 +18,7 @@ from cobs import cobs
 
 from hydro_bridge.conformance.host import FLAGS, GAINS, LATENCY, REFERENCE, SHAPING, Host, columns, expect
 from hydro_bridge.safety.box_info import bench_mismatches
-from hydro_bridge.serial.protocol import BoxInfo, BoxLaw, encode_command, encode_frame
+from hydro_bridge.serial.protocol import encode_command, encode_frame
 from hydro_core.signals import SAMPLE_PERIOD, Law, Waveform
 
 Words = dict[str, Any]
@@ -63,11 +63,9 @@ PLAYS: dict[str, tuple[str, Sequence[str], Sequence[tuple[int, Words | None]]]] 
     "watchdog.trip": ("50 ms behind the last command come base gains, 200 ms behind it the box trips until a disarm",
         (*FLAGS, *GAINS, "valve_current"), [(400, ARMED | {"delta_kp": 20.0, "delta_u": 1e-4}), (300, None), (20, {}),
                                             (5, {"arm": False}), (20, ARMED)]),
-    "reference.sine": (PLAYED, REFERENCE, [(1200, ARMED | SINE | {"offset": 10.0, "phase": 0.7})]),
-    "reference.multisine": (PLAYED, REFERENCE,
-        [(1500, ARMED | SINE | {"waveform": Waveform.MULTISINE, "frequency": 0.9, "phase": 0.4})]),
-    "reference.smooth_step": (PLAYED, REFERENCE,
-        [(1500, ARMED | SINE | {"waveform": Waveform.SMOOTH_STEP, "frequency": 0.8, "phase": 0.3})]),
+    **{f"reference.{form.name.lower()}": (PLAYED, REFERENCE,
+        [(1500, ARMED | SINE | {"waveform": form, "offset": 10.0, "frequency": 0.9, "phase": 0.4})])
+       for form in (Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP)},
     "reference.fade": (PLAYED, REFERENCE,
         [(500, ARMED | SINE), (100, {"waveform": Waveform.HOLD, "offset": 20.0}), (100, {"offset": -20.0}),
          (600, {"waveform": Waveform.SMOOTH_STEP, "offset": 5.0})]),
@@ -112,11 +110,6 @@ def other_command(host: Host, ahead: int = 1) -> bytes:
     return cobs.decode(encode_command((host.sequence + ahead) % 2**32, 0, changed)[1:-1])[:-4]
 
 
-def holds_no_change(law: BoxInfo | BoxLaw) -> bool:
-    """Return whether the limits of the gains allow the base gains."""
-    return law.delta_kp_min <= 0.0 <= law.delta_kp_max and law.delta_ki_min <= 0.0 <= law.delta_ki_max
-
-
 def test_framing_damaged(host: Host) -> None:
     """Damaged and unknown frames, and those of a version that nobody speaks, are not taken."""
     host.stream(10)
@@ -135,18 +128,19 @@ def test_framing_damaged(host: Host) -> None:
 def test_hello_answered(host: Host) -> None:
     """A HELLO is answered at once, by a sequence of 1 or more, whole DETAILS, and LAW where they offer one."""
     host.greet(within=25 + LATENCY)
+    info, told, law = host.info, host.details, host.law
     assert host.hello, "the answer has sequence 0, which says power-on"
-    info, told = host.info, host.details
     assert info.name and info.integral, "it does not tell its name, or the form of its integral"
     assert not (wrong := bench_mismatches(info, None)), wrong
-    assert holds_no_change(info), "its limits of the gains do not hold 0"
     assert told.epoch, "no DETAILS came, or their epoch is 0"
     assert 0.0 < told.hold_timeout <= told.trip_timeout, "its time-outs are not in order"
     ranges = told.pressure_min < told.pressure_max and told.position_min < told.position_max
     limits = min(info.valve_current_max, told.load_force_limit, told.force_range) > 0.0 <= info.delta_u_max
     assert ranges and limits, "a limit is not positive, or a range is empty"
-    offered = bool(told.laws >> Law.COMPENSATED & 1)
-    assert offered == (host.law is not None), "LAW comes where DETAILS offer the compensated law, and only there"
+    assert bool(told.laws >> Law.COMPENSATED & 1) == bool(law), "LAW comes where DETAILS offer it, and only there"
+    for its in (info, law or info):
+        held = its.delta_kp_min <= 0.0 <= its.delta_kp_max and its.delta_ki_min <= 0.0 <= its.delta_ki_max
+        assert held, "the limits of its gains do not hold 0"
 
 
 def test_hello_bench(host: Host) -> None:
@@ -192,11 +186,11 @@ def test_measured_units(host: Host) -> None:
     bench = host.bench or pytest.skip("needs the box's bench file: --bench")
     host.stream(200)
     now, supply, area = columns(host.states), bench["supply_pressure"], bench["piston_area"]
+    for name in ("pressure_a", "pressure_b"):
+        expect(host.states, name, now[name], 0.7 * supply, 0.8 * supply)
+    expect(host.states, "piston_position", now["piston_position"], 0.5 * bench["stroke"], 0.6 * bench["stroke"])
     push = area * (now["pressure_a"] - bench["area_ratio"] * now["pressure_b"])
-    for name, right, off in (("pressure_a", 0.7 * supply, 0.8 * supply), ("pressure_b", 0.7 * supply, 0.8 * supply),
-                             ("piston_position", 0.5 * bench["stroke"], 0.6 * bench["stroke"]),
-                             ("hydraulic_force", push, 0.05 * area * supply)):  # fmt: skip
-        expect(host.states, name, now[name], right, off)
+    expect(host.states, "hydraulic_force", now["hydraulic_force"], push, 0.05 * area * supply)
 
 
 def test_measured_rates(host: Host) -> None:
@@ -218,9 +212,7 @@ def test_compensated_told(host: Host) -> None:
     """LAW tells a safe state within its limits, which acts while the box is disarmed."""
     law = host.law or pytest.skip("the box runs the paper's law only")
     low, safe, high, rate = np.array(law.shaping_limits)
-    ordered = np.all((low <= safe) & (safe <= high) & (rate > 0.0))
-    assert ordered, f"{safe} is safe within {low} and {high}, by {rate} a second"
-    assert holds_no_change(law), "its limits of the gains do not hold 0"
+    assert np.all((low <= safe) & (safe <= high) & (rate > 0.0)), f"{safe} within {low} and {high}, by {rate} a second"
     host.stream(30, **COMPENSATED)
     assert host.states[-1].law_state.law is Law.COMPENSATED, "the paper's law acts"
     host.check("f_c", "f_c'", *SHAPING)
