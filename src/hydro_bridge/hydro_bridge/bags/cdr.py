@@ -33,7 +33,7 @@ _NUMBER_FORMATS = {
     "bool": "?", "byte": "u1", "char": "u1", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4",
     "uint32": "u4", "int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8",
 }  # fmt: skip
-_FRAME_ID_OFFSET = 16  # of its characters, the first four bytes included
+_SECONDS, _NANOSECONDS, _SIZE, _FRAME_ID = ("header.sec", "header.nanosec", "header.size", "header.frame_id")
 
 
 class NotFixedError(ValueError):
@@ -60,21 +60,13 @@ class FixedLayout:
         """Record type of the table: `time` in s (header stamp, or log time without a header), then the fields."""
         return np.dtype([("time", "f8"), *self.fields], align=True)
 
-    def wire(self, frame_id_size: int) -> np.dtype[np.void]:
-        """Record type of the serialized message; `frame_id_size` includes the NUL."""
-        names, formats, offsets, place = list[str](), list[str](), list[int](), 0
-        if self.has_header:
-            names, formats, offsets = ["sec", "nanosec"], ["<i4", "<u4"], [4, 8]
-            place = _FRAME_ID_OFFSET - 4 + frame_id_size
-        for name, code in self.fields:
-            size = np.dtype(code).itemsize
-            place = -(-place // size) * size
-            names.append(name)
-            formats.append("<" + code)
-            offsets.append(place + 4)
-            place += size
-        spec = {"names": names, "formats": formats, "offsets": offsets, "itemsize": place + 4}
-        return np.dtype(spec)  # type: ignore[call-overload]
+    def wire(self, frame_id_size: int) -> tuple[np.dtype[np.void], int]:
+        """Return the type of a message behind its first four bytes, and its size; `frame_id_size` includes the NUL."""
+        head = [(_SECONDS, "<i4"), (_NANOSECONDS, "<u4"), (_SIZE, "<u4"), (_FRAME_ID, f"S{frame_id_size}")]
+        wire = np.dtype(
+            [*(head if self.has_header else []), *((name, "<" + code) for name, code in self.fields)], align=True
+        )
+        return wire, max((kind.itemsize + offset for kind, offset, *_ in (wire.fields or {}).values()), default=0)
 
     def decode(self, rows: ByteRows, log_times: npt.NDArray[np.int64]) -> npt.NDArray[np.void]:
         """Decode serialized messages into a table.
@@ -82,19 +74,22 @@ class FixedLayout:
         `rows`: shape (n, bytes). `log_times`: ns, shape (n,); used if the type has no header. Raises ValueError: the
         bytes are not plain CDR, little endian, of this type.
         """
-        if rows.shape[1] < (_FRAME_ID_OFFSET if self.has_header else 4) or (rows[:, :2] != (0, 1)).any():
+        if rows.shape[1] < (16 if self.has_header else 4) or (rows[:, :2] != (0, 1)).any():
             raise ValueError("not plain CDR, little endian")
         out, sizes = np.empty(len(rows), self.table), np.zeros(len(rows), np.uint32)
         if self.has_header:
-            sizes[:] = np.ascontiguousarray(rows[:, 12:_FRAME_ID_OFFSET]).view("<u4")[:, 0]
+            sizes[:] = np.ascontiguousarray(rows[:, 12:16]).view("<u4")[:, 0]
         for size in np.unique(sizes):  # nearly always one
-            wire, part = self.wire(int(size)), sizes == size
-            if rows.shape[1] < wire.itemsize:
-                raise ValueError(f"{rows.shape[1]} bytes in a message, expected {wire.itemsize}")
-            values = np.ascontiguousarray(rows[part, : wire.itemsize]).view(wire)[:, 0]
+            (wire, used), part = self.wire(int(size)), sizes == size
+            if rows.shape[1] < used + 4:
+                raise ValueError(f"{rows.shape[1]} bytes in a message, expected {used + 4}")
+            padded = np.zeros((np.count_nonzero(part), wire.itemsize), np.uint8)
+            padded[:, :used] = rows[part, 4 : used + 4]
+            values = padded.view(wire)[:, 0]
             for name, _ in self.fields:
                 out[name][part] = values[name]
-            out["time"][part] = values["sec"] + 1e-9 * values["nanosec"] if self.has_header else 1e-9 * log_times[part]
+            stamps = values[_SECONDS] + 1e-9 * values[_NANOSECONDS] if self.has_header else 1e-9 * log_times[part]
+            out["time"][part] = stamps
         return out
 
 
@@ -116,16 +111,14 @@ def fixed_layout(type_name: str, text: str | None = None) -> FixedLayout:
 
 def encode_states(states: StateArray, frame_id: str = "bench") -> ByteRows:
     """Encode `STATE_DTYPE` records as serialized BenchState messages, little endian, shape (n, bytes)."""
-    layout, text = fixed_layout(STATE_TYPE), frame_id.encode() + b"\0"
-    wire = layout.wire(len(text))
-    values = np.zeros(len(states), wire)
-    seconds = np.floor(states["time"])
-    values["sec"] = seconds
-    values["nanosec"] = np.minimum(np.rint((states["time"] - seconds) * 1e9), 999_999_999)
+    layout, text = fixed_layout(STATE_TYPE), frame_id.encode()
+    wire, used = layout.wire(len(text) + 1)
+    values, seconds = np.zeros(len(states), wire), np.floor(states["time"])
+    values[_SECONDS], values[_SIZE], values[_FRAME_ID] = seconds, len(text) + 1, text
+    values[_NANOSECONDS] = np.minimum(np.rint((states["time"] - seconds) * 1e9), 999_999_999)
     for name, _ in layout.fields:
         values[name] = states[name]
-    rows = values.view(np.uint8).reshape(len(states), wire.itemsize)
+    rows = np.zeros((len(states), used + 4), np.uint8)
     rows[:, 1] = 1
-    rows[:, 12:_FRAME_ID_OFFSET] = np.frombuffer(np.uint32(len(text)).tobytes(), np.uint8)
-    rows[:, _FRAME_ID_OFFSET : _FRAME_ID_OFFSET + len(text)] = np.frombuffer(text, np.uint8)
+    rows[:, 4:] = values.view(np.uint8).reshape(len(states), wire.itemsize)[:, :used]
     return rows

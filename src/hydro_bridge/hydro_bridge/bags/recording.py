@@ -103,12 +103,7 @@ def as_states(table: TopicTable, path: Path) -> StateArray:
     names = STATE_DTYPE.names or ()
     if missing := {*names} - {*(table.dtype.names or ())}:
         raise RecordingError(f"{path}: {STATE_TOPIC} is no {STATE_TYPE}: it has no {', '.join(sorted(missing))}")
-    if table.dtype == STATE_DTYPE:
-        return table
-    states = np.empty(len(table), STATE_DTYPE)
-    for name in names:
-        states[name] = table[name]
-    return states
+    return table[[*names]].astype(STATE_DTYPE, copy=False)
 
 
 @dataclass(frozen=True)
@@ -306,11 +301,9 @@ class Bag:
             elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 body = ReadDataStream(BytesIO(block[place + _RECORD_HEAD.size : place + _RECORD_HEAD.size + length]))
                 if opcode == Opcode.SCHEMA:
-                    schema = Schema.read(body)
-                    self._schemas[schema.id] = schema
+                    self._schemas |= {(schema := Schema.read(body)).id: schema}
                 else:
-                    channel = Channel.read(body)
-                    self._channels[channel.id] = channel
+                    self._channels |= {(channel := Channel.read(body)).id: channel}
             place += _RECORD_HEAD.size + length
         for number, begins in places.items():
             if number not in self._channels:  # its declaration was in a damaged chunk

@@ -59,9 +59,8 @@ def _copy(bag: Bag, writer: BagWriter) -> int:
     copied = 0
     for piece in bag.pieces():
         writer.add_channel(piece.channel, piece.schema)
-        numbers = zip(piece.heads["publish_time"].tolist(), piece.heads["sequence"].tolist(), strict=True)
-        for (log_time, data), (publish_time, sequence) in zip(piece.serialized(), numbers, strict=True):
-            writer.write(piece.topic, data, log_time, publish_time, sequence)
+        for (log_time, data), (*_, number, _, published) in zip(piece.serialized(), piece.heads.tolist(), strict=True):
+            writer.write(piece.topic, data, log_time, published, number)
         copied += len(piece.starts)
     for name, data in bag.attachments.items():
         writer.attach(name, data)

@@ -37,12 +37,9 @@ class BagWriter(AbstractContextManager["BagWriter"]):
     """
 
     def __init__(
-        self,
-        folder: Path | str,
-        *,
-        metadata: Mapping[str, str] | None = None,
+        self, folder: Path | str, *, metadata: Mapping[str, str] | None = None,
         attachments: Mapping[str, bytes] | None = None,
-    ) -> None:
+    ) -> None:  # fmt: skip
         self.folder = Path(folder)
         try:
             self.folder.mkdir(parents=True)
@@ -51,11 +48,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         except OSError as error:
             raise RecordingError(f"{self.folder} cannot be made: {error.strerror}") from None
         self.path = self.folder / f"{self.folder.name}_0.mcap"
-        self._custom: dict[str, str] = {}
-        self._channels: dict[str, Channel] = {}
-        self._schemas: dict[str, Schema] = {}
-        self._counts = Counter[str]()
-        self._span = (2**63 - 1, 0)
+        self._custom, self._channels, self._schemas = dict[str, str](), dict[str, Channel](), dict[str, Schema]()
+        self._counts, self._span = Counter[str](), (2**63 - 1, 0)
         self._file = self.path.open("wb")
         self._writer = Writer(self._file, compression=CompressionType.ZSTD, enable_data_crcs=True)
         self._writer.start(profile="ros2", library="hydro_bridge")
@@ -87,10 +81,8 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         qos = Qos(QosHistory.KEEP_LAST, depth, reliability, durability, forever, forever, alive, forever, False)
         profiles = yaml.safe_dump(dump_qos_v9([qos]), sort_keys=False)
         metadata = {"offered_qos_profiles": profiles, "topic_type_hash": known["type_hash"]}
-        self.add_channel(
-            Channel(id=0, topic=topic, message_encoding="cdr", schema_id=0, metadata=metadata),
-            Schema(id=0, name=type_name, encoding="ros2msg", data=known["text"].encode()),
-        )
+        schema = Schema(id=0, name=type_name, encoding="ros2msg", data=known["text"].encode())
+        self.add_channel(Channel(id=0, topic=topic, message_encoding="cdr", schema_id=0, metadata=metadata), schema)
 
     def add_channel(self, channel: Channel, schema: Schema) -> None:
         """Register a channel of another recording, if its topic has none; raises RecordingError: of another type."""
@@ -148,37 +140,20 @@ class BagWriter(AbstractContextManager["BagWriter"]):
         """Return the content of metadata.yaml with all keys of version 9: rosbag2 throws on a missing one."""
         start, end = self._span if self._counts else (0, 0)
         topics = [
-            {
-                "topic_metadata": {
-                    "name": topic,
-                    "type": self._schemas[topic].name,
-                    "serialization_format": channel.message_encoding,
-                    "offered_qos_profiles": dump_qos_v9(parse_qos(channel.metadata.get("offered_qos_profiles", ""))),
-                    "type_description_hash": channel.metadata.get("topic_type_hash", ""),
-                },
-                "message_count": self._counts[topic],
-            }
+            {"topic_metadata": {
+                "name": topic, "type": self._schemas[topic].name, "serialization_format": channel.message_encoding,
+                "offered_qos_profiles": dump_qos_v9(parse_qos(channel.metadata.get("offered_qos_profiles", ""))),
+                "type_description_hash": channel.metadata.get("topic_type_hash", "")},
+             "message_count": self._counts[topic]}
             for topic, channel in self._channels.items()
-        ]
-        information = {
-            "starting_time": {"nanoseconds_since_epoch": start},
-            "duration": {"nanoseconds": end - start},
-            "message_count": self._counts.total(),
-        }
-        return {
-            "version": 9,
-            "storage_identifier": "mcap",
-            **information,
-            "topics_with_message_count": topics,
-            "compression_format": "",
-            "compression_mode": "",
-            "relative_file_paths": [self.path.name],
-            "files": [
-                {"path": self.path.name, **deepcopy(information)}
-            ],  # YAML would write a second mention as an alias
-            "custom_data": dict(custom) or None,
-            "ros_distro": os.environ.get("ROS_DISTRO", "jazzy"),
-        }
+        ]  # fmt: skip
+        information = {"starting_time": {"nanoseconds_since_epoch": start}, "duration": {"nanoseconds": end - start},
+                       "message_count": self._counts.total()}  # fmt: skip
+        name, ros_distro = self.path.name, os.environ.get("ROS_DISTRO", "jazzy")
+        files = [{"path": name, **deepcopy(information)}]  # YAML would write a second mention as an alias
+        return {"version": 9, "storage_identifier": "mcap", **information, "topics_with_message_count": topics,
+                "compression_format": "", "compression_mode": "", "relative_file_paths": [name], "files": files,
+                "custom_data": dict(custom) or None, "ros_distro": ros_distro}  # fmt: skip
 
 
 def code_version() -> str:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records the graph into a rosbag2 folder.
+"""Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM.
 
 ros2 run hydro_bridge recorder --out DIR [--metadata KEY=VALUE] [--attach FILE] [--ros-args ...]
 """
@@ -30,7 +30,7 @@ from hydro_bridge.ros.messages import STATE_CODEC
 from hydro_bridge.ros.node import request_realtime, run_node
 from hydro_bridge.ros.topics import RECORDED_TOPICS, STATE, Mailbox, type_name
 from hydro_bridge.serial.stream import SequenceTracker
-from hydro_core.cli.console import command, writable_folder
+from hydro_core.cli.console import command, make_parser, writable_folder
 from hydro_core.signals import Flag
 
 _QUEUE_DEPTH = 2000  # queued messages per topic while the disk is slow: 2 s of samples
@@ -50,9 +50,7 @@ class RecorderNode(Node):
         # nice: below all control nodes; the middleware buffers some 0.5 s of samples, then drops them
         scheduling = request_realtime(realtime=realtime, nice=-10)  # before samples arrive
         self._writer, self._messages = make_writer(), dict.fromkeys(RECORDED_TOPICS, 0)
-        self._tracker = SequenceTracker()
-        self._newest = -1  # sample
-        self.failed = False
+        self._tracker, self._newest, self.failed = SequenceTracker(), -1, False
         self.done: Future = Future()
         self._mailbox, self._heard = Mailbox("recorder"), dict[str, Subscription]()
         for topic, (kind, offered) in RECORDED_TOPICS.items():
@@ -80,11 +78,8 @@ class RecorderNode(Node):
 
     def _fetch(self) -> None:
         """Write the arrived messages by time of arrival, and acknowledge the samples to a paced plant."""
-        arrived = [
-            (time_ns, topic, data)
-            for topic, subscription in self._heard.items()
-            for data, time_ns in self._mailbox.fetch(subscription, _QUEUE_DEPTH)
-        ]
+        arrived = [(time_ns, topic, data) for topic, subscription in self._heard.items()
+                   for data, time_ns in self._mailbox.fetch(subscription, _QUEUE_DEPTH)]  # fmt: skip
         for time_ns, topic, data in sorted(arrived, key=itemgetter(0)):
             self._write(self._take, topic, data, time_ns)
         if self._paced and self._newest != self._answered:
@@ -109,15 +104,14 @@ class RecorderNode(Node):
             write(*what)
         except OSError as error:
             self.failed = True
-            self.get_logger().error(
-                f"{self._writer.folder}: recording stopped: {error.strerror}: free disk space and start another one"
-            )
+            stopped = f"{self._writer.folder}: recording stopped: {error.strerror}"
+            self.get_logger().error(f"{stopped}: free disk space and start another one")
             self.done.set_result(None)
 
     def _status(self) -> Status:
         lost = self._tracker.counts.lost
-        values = {"folder": self._writer.folder, "lost": lost, **self._messages}
         message = f"{sum(self._messages.values())} messages, {lost} samples lost"
+        values = {"folder": self._writer.folder, "lost": lost, **self._messages}
         return Status(level=Level.WARN if lost else Level.OK, message=message, values=values)
 
 
@@ -128,13 +122,9 @@ def _pair(text: str) -> str:
 
 
 @command(OSError)
-def main() -> None:
-    """Entry point."""
-    parser = argparse.ArgumentParser(
-        prog="recorder",
-        description="Record the graph into a rosbag2 folder (MCAP). End it with Ctrl-C or SIGTERM.",
-        epilog="In Python: hydro_bridge.bags.recording.read_bag(DIR).state['load_force'].",
-    )
+def main() -> int:
+    """Entry point; exit status 1 if writing failed."""
+    parser = make_parser("recorder", __doc__)
     action = parser.add_mutually_exclusive_group(required=True)
     action.add_argument("--out", type=writable_folder, metavar="DIR", help="folder to make; it must not exist")
     action.add_argument("--repair", type=Path, metavar="DIR", help="make a recording whole whose recorder was killed")
@@ -147,9 +137,8 @@ def main() -> None:
     if options.repair:
         count, notes = repair(options.repair)
         print("\n".join([f"{options.repair}: kept {count} messages", *notes]), file=sys.stderr)
-        return
+        return 0
     metadata = {"code_version": code_version(), **dict(pair.split("=", 1) for pair in options.metadata)}
     attachments = {path.name: path.read_bytes() for path in options.attach}
     writer = partial(BagWriter, options.out, metadata=metadata, attachments=attachments)
-    if run_node(lambda: RecorderNode(writer, realtime=options.realtime), ros, [options]).failed:
-        sys.exit(1)
+    return int(run_node(lambda: RecorderNode(writer, realtime=options.realtime), ros, [options]).failed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay of a recording in place of a plant: it publishes the recorded messages, and cannot be armed.
+"""Publish a recording in the place of the bench, each sample stamped again so that none is stale; it cannot be armed.
 
 ros2 run hydro_bridge replayer BAG [--speed 1.0] [--loop] [--ros-args ...]
 """
@@ -26,7 +26,7 @@ from hydro_bridge.ros.diagnostics import DiagnosticsPublisher, Status
 from hydro_bridge.ros.messages import STATE_CODEC
 from hydro_bridge.ros.node import request_realtime, run_node
 from hydro_bridge.ros.topics import ARM_SERVICE, BOX, BOX_LAW, CLAIM_SERVICE, LAW_STATE, STATE, create_publisher
-from hydro_core.cli.console import UserError, bounded_number, command
+from hydro_core.cli.console import UserError, bounded_number, command, make_parser
 from hydro_core.signals import Flag
 from hydro_msgs.srv import Claim
 
@@ -93,14 +93,9 @@ class ReplayerNode(Node):
 @command()
 def main() -> None:
     """Entry point."""
-    parser = argparse.ArgumentParser(
-        prog="replayer",
-        description="Publish a recording in the place of the bench, each sample stamped again so that none is stale.",
-    )
+    parser = make_parser("replayer", __doc__)
     parser.add_argument("bag", type=Path, metavar="BAG", help="rosbag2 folder, or .mcap file")
-    parser.add_argument(
-        "--speed", type=bounded_number(1e-3), default=1.0, help="recorded s per second (default: %(default)s)"
-    )
+    parser.add_argument("--speed", type=bounded_number(1e-3), default=1.0, help="recorded s per second; default: 1")
     parser.add_argument("--loop", action="store_true", help="begin again at the end")
     own, ros = ros_arguments()
     options = parser.parse_args(own)
