@@ -173,14 +173,17 @@ class Host:
     def send(self, ahead: int = 1, noise: bytes = b"", **changes: Any) -> None:
         """Send the last command with changes, `ahead` of the last number; leave the case out if it may not be sent.
 
-        Forces and corrections are scaled from the nominal box to this one, whose limits are 700 N and 50 mA.
+        Forces are scaled to this box, and a correction so that it moves no more, in proportion, than on the nominal
+        bench, whose g is 10.53e6 N/s/A.
         """
         if changes.get("arm") and not self.moving:
             pytest.skip("may move the piston: --moving")
         if changes.get("law") and not self.law:
             pytest.skip("the box runs the paper's law only")
-        if "delta_u" in changes:
-            changes["delta_u"] *= self.info.valve_current_max / 0.05
+        if self.bench is not None and "delta_u" in changes:
+            supply = 0.5 * self.bench["supply_pressure"]
+            gain, _ = gain_and_stiffness(self.bench, 0.5 * self.bench["stroke"], supply, supply, 1.0)
+            changes["delta_u"] *= min(1.0, self.force_scale * 10.53e6 / float(gain))
         signal = {entry.name: changes.pop(entry.name) for entry in fields(Signal) if entry.name in changes}
         signal |= {name: self.force_scale * signal[name] for name in signal.keys() & {"amplitude", "offset"}}
         self.command = replace(self.command, reference=replace(self.command.reference, **signal), **changes)
