@@ -139,14 +139,6 @@ def test_without_moving_nothing_arms_and_the_piston_rests() -> None:
     assert abs(float(machine.plant.chain[0]["clean"][6]) - before) < 1e-5
 
 
-def test_only_with_moving_a_box_is_asked_to_arm() -> None:
-    line = InStep(machine_of())
-    host = Host(line, line.clock)
-    with pytest.raises(pytest.skip.Exception, match="may move the piston: --moving"):
-        host.send(arm=True)
-    assert not host.commands and not line._sent
-
-
 BROKEN: dict[str, tuple[str, str, str, str]] = {
     "takes old commands": ("guard.h", "order.old", " || ahead >= 0x80000000u", ""),
     "takes repeated commands": ("guard.h", "order.old", "ahead == 0 || ", ""),
