@@ -51,7 +51,7 @@ from hydro_sim.box.firmware import reference_force
 from hydro_sim.emulator.offline import record_offline
 from hydro_sim.emulator.truth.config import TruthConfig
 from hydro_sim.excitation import Segment
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 
@@ -233,8 +233,9 @@ def loop_model(bench: Bench, law: BoxLaw) -> tuple[FloatArray, FloatArray]:
     w, w_v = (2.0 * math.pi * one["bandwidth"] for one in (cell, spool))
     a: FloatArray = np.zeros((STATES + 2, STATES + 2))
     a[0, 1] = a[3, 4] = a[6, 7] = 1.0
+    stiffnesses = hydraulics.stiffnesses(true, numbers.spring_rest_position)
     a[1, :3] = -stiff / mass, -numbers.viscous_friction / mass, stiff / mass
-    a[2, 1] = hydraulics.velocity_term(true, numbers.spring_rest_position, 1.0) / stiff
+    a[2, 1] = equations.force_rate(numbers, stiffnesses, (0.0, 0.0), 1.0) / stiff
     a[2, 6] = input_ratio(true, box) * effects.get("valve_gain", {"ratio": 1.0})["ratio"]
     a[4, [0, 3, 4]] = w * w, -w * w, -2.0 * cell.get("damping", 1.0) * w
     a[5, 3] = -law.base_ki

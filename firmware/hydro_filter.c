@@ -1,5 +1,5 @@
 /* SPDX-License-Identifier: Apache-2.0 */
-/* The filter in the shared library of the box, for node, fleet, training and validation: hydro_filter.model.records. The
+/* The filter in the shared library of the box, for node, fleet and training: hydro_filter.model.records. The
  * caller gives all memory. Models are generated for one bench file each and are called by their address. */
 #define HYDRO_STATES 128     /* hydro_sim.model.plant.STATES_MAX */
 #define HYDRO_COORDINATES 80 /* the eight, two lagging sensors, and the longest dead time that a model has room for */

@@ -32,7 +32,7 @@ from hydro_sim.box import firmware
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.firmware import RecordArray
 from hydro_sim.files.learned_bench import load_model
-from hydro_sim.model import hydraulics
+from hydro_sim.model import equations, hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import BenchModel
 from hydro_sim.model.grammar import LAWS
@@ -229,14 +229,17 @@ def test_k_is_the_derivative_of_the_boxs_law(loop: Loop, cases: list[Case], scal
         y, opening = seen.states[0][loop.arrays["from_whole"]], float(seen.opening[0, 0])
         side = np.copysign(current, opening)
         g = scales[1] * hydraulics.input_gain(bench, x[6], x[4], x[5], side)
+        h = equations.force_rate(NOMINAL, hydraulics.stiffnesses(bench, x[6]), (0.0, 0.0), x[7])
         # the f_c' that gives this current
-        wanted = max(g, floor) * side + scales[0] * hydraulics.velocity_term(bench, x[6], x[7]) + 35.0 * 110.0
+        wanted = max(g, floor) * side + scales[0] * h + 35.0 * 110.0
 
         def law(q: FloatArray) -> float:
             moved, change = x.copy(), q * loop.scale
             moved[4:6] += (displaced(loop, y, opening, q) - y)[:2]
             moved[[2, 6, 7]] += change[[3, 5, 7]]
-            return firmware.nominal_current(config, moved, x[2] + 110.0 - moved[2], 0.0, wanted, -35.0, *scales)
+            numbers = (x[2] + 110.0 - moved[2], 0.0, wanted, -35.0, *scales)  # e_c, I, f_c', K_p, C_1, C_2
+            address = firmware.address_of
+            return float(firmware.library().hydro_c_nominal_current(address(config), address(moved), *numbers))
 
         assert law(np.zeros(LOOP_SIZE)) == pytest.approx(side, rel=1e-9)
         if abs(g / floor - 1.0) >= 0.01:  # else a kink lies within the difference's reach

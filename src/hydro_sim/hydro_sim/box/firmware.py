@@ -188,21 +188,6 @@ def tick(typingctx: Any, address: Any, box: Any, config: Any, measurement: Any, 
     return declare_call(types.void(types.int64, box, config, measurement, types.float64, sample), "pppdp")
 
 
-def nominal_current(
-    config: RecordArray, measurement: FloatArray, error: float, action: float, reference_rate: float, kp: float,
-    velocity_compensation: float = 1.0, valve_gain_scale: float = 1.0,
-) -> float:  # fmt: skip
-    """Return u_nom [A] of the force law, before correction and saturation.
-
-    `config`: a record of `DOUBLE_STRUCTURES.config`, shape (1,). `measurement`: x, shape (8,), finite. `error`: e_c =
-    f_c - feedback [N]. `action`: I [N/s], the integral action. `reference_rate`: f_c' [N/s]. `kp`: K_p + delta K_p
-    [1/s]. `velocity_compensation`, `valve_gain_scale`: C_1, C_2.
-    """
-    numbers = (error, action, reference_rate, kp, velocity_compensation, valve_gain_scale)
-    x = np.ascontiguousarray(measurement)
-    return float(library().hydro_c_nominal_current(address_of(config), address_of(x), *numbers))
-
-
 def signal_record(signal: ReferenceSignal) -> tuple[float, ...]:
     """Return a reference as the fields of a record of hydro_signal."""
     return signal.waveform, signal.amplitude, signal.offset, signal.frequency, signal.phase, 0.0

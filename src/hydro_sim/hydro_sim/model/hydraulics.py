@@ -43,12 +43,6 @@ def pressure_rates(bench, pressure_a, pressure_b, position, velocity, current):
 
 
 @njit
-def velocity_term(bench, position, velocity):
-    """h [N/s] (eq. q14): effect of the motion on the hydraulic force."""
-    return eq.force_rate(bench, stiffnesses(bench, position), (0.0, 0.0), velocity)
-
-
-@njit
 def input_gain(bench, position, pressure_a, pressure_b, opening):
     """g [N/s/A] (eq. q15 with a plus, see the erratum in physics.md), for currents with the sign of `opening`."""
     gain_a, gain_b = flow_gains(bench, pressure_a, pressure_b, opening)
