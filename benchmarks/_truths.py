@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,6 +21,7 @@ import numpy.typing as npt
 from numba.extending import overload
 
 from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, SAMPLES_PER_STEP, Flag, FloatArray
+from hydro_core.valve_overlap import OVERLAP_EFFECT
 from hydro_policy.compensation.estimator import Compensator
 from hydro_policy.compensation.residual import Residual
 from hydro_policy.envs import vector_env, vector_runs
@@ -83,9 +85,14 @@ def _copy(arrays: Truth, index: int, plant: TruthPlant) -> None:
 vector_env.PLANT_TYPES[TruthPlant] = (_rows, _copy)
 
 
-def truth_fleet(truths: Sequence[TruthConfig]) -> VectorBench:
-    """Emulated benches; the boxes believe in the nominal bench."""
-    return VectorBench([Bench.nominal()] * len(truths), [TruthPlant(one) for one in truths])
+def truth_fleet(truths: Sequence[TruthConfig], overlap: float = 0.0) -> VectorBench:
+    """Emulated benches; the boxes believe in the nominal bench with this share of the overlap that each has."""
+    believed = []
+    for one in truths:
+        band = one.effects.valve_deadband
+        known = {"id": OVERLAP_EFFECT, "parameters": {"half_width": overlap * (band.half_width if band else 0.0)}}
+        believed.append(replace(Bench.nominal(), effects=(known,) if overlap else ()))
+    return VectorBench(believed, [TruthPlant(one) for one in truths])
 
 
 def drawn_truths(count: int, seed: int) -> dict[str, dict[str, Any]]:

@@ -101,10 +101,10 @@ def load_cases(path: Path | None) -> tuple[Case, ...]:
 
 def measure(
     config: TruthConfig, cases: Sequence[Case], controller: VectorController, compensator: Compensator | None = None,
-    residual: Residual | None = None,
+    residual: Residual | None = None, overlap: float = 0.0,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """Run every case on this truth; one row of figures for each (see `tracked`)."""
-    return tracked(truth_fleet([config] * len(cases)), cases, controller, SETTINGS, compensator, residual)
+    """Run every case on this truth; one row of figures for each (see `tracked`). `overlap`: see `truth_fleet`."""
+    return tracked(truth_fleet([config] * len(cases), overlap), cases, controller, SETTINGS, compensator, residual)
 
 
 def run_one(config: TruthConfig, name: str, cases: Sequence[Case]) -> list[dict[str, Any]]:

@@ -4,6 +4,7 @@
     python -m benchmarks.law_settings --draw 8 --seed 5501 --set bandwidth=10
     python -m benchmarks.law_settings --draw 8 --seed 5501 --without b_2 b_3
     python -m benchmarks.law_settings --draw 8 --seed 5501 --commit HEAD~1        the law as it was, from git
+    python -m benchmarks.law_settings --draw 8 --seed 5501 --overlap 1            the box knows its valve's overlap
     python -m benchmarks.law_settings --yielding --without c_0 c_1 c_2             benches with loads that yield
 
 The six references of `evaluate`, no filter, both laws on the same benches and noise. A trip counts as the reference's
@@ -84,15 +85,21 @@ def law_of(commit: str, folder: Path) -> Maker:
     return Law
 
 
-def run(makers: dict[str, Maker], count: int, seed: int, *, yields: bool = False) -> dict[str, list[Row]]:
-    """Rows of `controllers.measure` by law, one for each bench and reference; `yields`: the benches' loads do."""
+def run(
+    makers: dict[str, Maker], count: int, seed: int, *, yields: bool = False, overlap: float = 0.0
+) -> dict[str, list[Row]]:
+    """Rows of `controllers.measure` by law, one for each bench and reference; `yields`: the benches' loads do.
+
+    `overlap`: share of its valve's overlap that the box of a variant knows.
+    """
     drawn = drawn_truths(count, seed)
     truths = [truth_from_mapping(contents) for contents in (yielding(drawn, seed) if yields else drawn).values()]
     rows: dict[str, list[Row]] = {name: [] for name in makers}
     for config in progress(truths, label="benches", unit="bench"):
         for name, make in makers.items():
             gains = vector_runs.fixed_gains(np.zeros(2), (0.0, 0.0))
-            rows[name] += measure(config, SETTINGS.cases, gains, make(len(SETTINGS.cases)))
+            known = 0.0 if name == "as it is" else overlap
+            rows[name] += measure(config, SETTINGS.cases, gains, make(len(SETTINGS.cases)), overlap=known)
     return rows
 
 
@@ -137,14 +144,19 @@ def main() -> None:
     options.add_argument("--set", nargs="+", default=[], metavar="NAME=VALUE", help="settings of the variant")
     options.add_argument("--without", nargs="+", default=[], choices=TERMS, metavar="TERM", help="of a_0 to c_2")
     options.add_argument("--yielding", action="store_true", help="benches whose loads yield, with hysteresis")
+    options.add_argument("--overlap", type=float, default=0.0, metavar="SHARE",
+                         help="of each valve's overlap, which the variant's box knows")  # fmt: skip
     options.add_argument("--commit", metavar="COMMIT", help="the variant is the law of that commit")
     asked = options.parse_args()
-    told = asked.commit or " ".join([*asked.set, *(f"without {name}" for name in asked.without)])
+    known = [f"{asked.overlap:g} of the overlap known"] if asked.overlap else []
+    told = asked.commit or " ".join([*asked.set, *(f"without {name}" for name in asked.without), *known])
     if not told or (asked.commit and (asked.set or asked.without)):
-        raise SettingsError("say what the variant is: --set and --without, or --commit")
+        raise SettingsError("say what the variant is: --set, --without and --overlap, or --commit")
     with tempfile.TemporaryDirectory() as folder:
         other = law_of(asked.commit, Path(folder)) if asked.commit else variant(changed(asked.set), asked.without)
-        found = run({"as it is": Compensator, told: other}, asked.draw, asked.seed, yields=asked.yielding)
+        found = run(
+            {"as it is": Compensator, told: other}, asked.draw, asked.seed, yields=asked.yielding, overlap=asked.overlap
+        )
         table(found).show(asked.json)
 
 

@@ -8,8 +8,9 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydro_core.signals import FloatArray
+from hydro_core.valve_overlap import valve_overlap
 from hydro_filter.model.sample import POSITION, PRESSURE_A, PRESSURE_B, VELOCITY
-from hydro_filter.model.terms import LOAD_CELL_LAG, VALVE_LAG, dry_friction, parameters_of, valve_overlap
+from hydro_filter.model.terms import LOAD_CELL_LAG, VALVE_LAG, dry_friction, parameters_of
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.effects import catalogue, parameter_corrections
 from hydro_sim.model.equations import LOAD_CELL_DAMPING
@@ -56,7 +57,7 @@ def bench_parameters(model: Bench, bench: Bench) -> tuple[dict[str, float], dict
     values = {name: float(record[name]) for name in record.dtype.names}
     for name in ("bulk_modulus", "valve_gain"):  # their corrections are terms of the model, not in `constants`
         values[name] *= found.get(name, {}).get("ratio", 1.0)
-    overlap = valve_overlap(model)
+    overlap = valve_overlap(model.effects)
     ours = {
         name: values[name]
         for name in (

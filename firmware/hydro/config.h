@@ -17,6 +17,8 @@ typedef struct {
     hydro_real dead_volume_a, dead_volume_b;                                                  /* m3 */
     hydro_real valve_gain;        /* K_v, m3/s/A/sqrt(Pa) */
     hydro_real valve_current_max; /* A */
+    /* A, current that closes the valve, half widths of its overlap below and above; 0: none is leapt over */
+    hydro_real closing, overlap_back, overlap_out;
 } hydro_bench;
 
 /* A force law: gains, and its shaping a_0 [-], a_1 [s], a_2 [s^2], a_3 [N], a_4 [s^3], C_1, C_2 with limits and fastest

@@ -78,6 +78,25 @@ static inline hydro_real hydro_input_gain(
     return hydro_force_rate(bench, position, gain_a, -gain_b, HYDRO_R(0));
 }
 
+/* Of the largest current: over so much to either side of the closed valve the law leaps over the overlap. */
+#define HYDRO_LEAP 2e-3
+
+/* Current [A] that opens a valve with the bench's overlap as `current` [A] opens one without. */
+static inline hydro_real hydro_leap(const hydro_bench *bench, hydro_real current)
+{
+    hydro_real width = HYDRO_R(HYDRO_LEAP) * bench->valve_current_max;
+    hydro_real share = hydro_clamp((current - bench->closing) / width, HYDRO_R(-1), HYDRO_R(1));
+    return current + share * (share < HYDRO_R(0) ? bench->overlap_back : bench->overlap_out);
+}
+
+/* The current [A] of which `hydro_leap` makes `leapt` [A]. */
+static inline hydro_real hydro_before_leap(const hydro_bench *bench, hydro_real leapt)
+{
+    hydro_real overlap = leapt < bench->closing ? bench->overlap_back : bench->overlap_out;
+    hydro_real width = HYDRO_R(HYDRO_LEAP) * bench->valve_current_max + overlap;
+    return leapt - overlap * hydro_clamp((leapt - bench->closing) / width, HYDRO_R(-1), HYDRO_R(1));
+}
+
 /* u_nom [A] before correction and saturation; `action` is I [N/s], `scales` are C_1 and C_2. */
 static inline hydro_real hydro_nominal_current(
     const hydro_config *config, const hydro_real *measurement, hydro_real error, hydro_real action,
@@ -88,7 +107,7 @@ static inline hydro_real hydro_nominal_current(
     hydro_real wanted = reference_rate + proportional_gain * error + action;
     hydro_real driven = wanted - scales[0] * hydro_velocity_term(bench, position, measurement[7]);
     hydro_real gain = scales[1] * hydro_input_gain(bench, position, measurement[4], measurement[5], driven);
-    return driven / hydro_max(gain, config->gain_floor);
+    return hydro_leap(bench, driven / hydro_max(gain, config->gain_floor));
 }
 
 /* I [N/s] of what the integrator carries. */

@@ -22,8 +22,8 @@
  *
  *   u = (f_c' + K_p (f_c - f_l) + I - C_1 h) / (C_2 g)     g = g(x_p, p_a, p_b), h = h(x_p, x_p')
  *
- * in closed form, the law's integral I as it is. hydro_filter.model builds `hydro_loop` from a bench file; filter.md
- * explains it.
+ * in closed form, the law's integral I as it is, and u as it is before the law leaps over the valve's overlap, which
+ * the loop's model lacks. hydro_filter.model builds `hydro_loop` from a bench file; filter.md explains it.
  */
 #ifndef HYDRO_LOOP_H
 #define HYDRO_LOOP_H
@@ -552,12 +552,13 @@ static inline void hydro_law_gradient(
 {
     const hydro_bench *bench = &loop->bench;
     const hydro_real *x = seen->x;
-    hydro_lands lands = hydro_open_lands(bench, x[4], x[5], nominal);
+    hydro_real opening = hydro_before_leap(bench, nominal);
+    hydro_lands lands = hydro_open_lands(bench, x[4], x[5], opening);
     hydro_real area = bench->piston_area, ratio = bench->area_ratio, swept = -area * (seen->c_1 * x[7]);
     hydro_real volume_a = hydro_volume_a(bench, x[6]), volume_b = hydro_volume_b(bench, x[6]);
     hydro_real scale = bench->bulk_modulus * area;
-    hydro_real gain = seen->c_2 * hydro_input_gain(bench, x[6], x[4], x[5], nominal);
-    hydro_real opened = gain > loop->gain_floor ? bench->valve_gain * seen->c_2 * nominal : HYDRO_R(0);
+    hydro_real gain = seen->c_2 * hydro_input_gain(bench, x[6], x[4], x[5], opening);
+    hydro_real opened = gain > loop->gain_floor ? bench->valve_gain * seen->c_2 * opening : HYDRO_R(0);
     hydro_real flow_a = lands.root_a * opened + swept, flow_b = lands.root_b * opened + ratio * swept;
     hydro_real by_position = scale * area
                              * (-flow_a / (volume_a * volume_a) + ratio * ratio * flow_b / (volume_b * volume_b));

@@ -178,7 +178,7 @@ static inline hydro_real hydro_integral_term(const hydro_loop *loop, const hydro
     hydro_real position = hydro_clamp(seen->x[6], HYDRO_R(0), bench->stroke), driven;
     *gain = seen->c_2 * hydro_input_gain(bench, position, seen->x[4], seen->x[5], seen->nominal);
     *gain = hydro_max(*gain, loop->gain_floor);
-    driven = seen->nominal * *gain + seen->c_1 * hydro_velocity_term(bench, position, seen->x[7]);
+    driven = hydro_before_leap(bench, seen->nominal) * *gain + seen->c_1 * hydro_velocity_term(bench, position, seen->x[7]);
     return driven - seen->followed_rate - seen->k_p * (seen->followed - seen->x[2]);
 }
 

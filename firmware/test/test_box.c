@@ -432,6 +432,7 @@ int main(void)
     test_reset_of_references();
     test_fades();
     test_force_law();
+    test_leap();
     test_currents_of_the_page();
     test_compensation();
     test_rates();

@@ -160,6 +160,28 @@ static void test_force_law(void)
     CHECK(hydro_integrate(HYDRO_BUMPLESS, 3, 100, 5, HYDRO_R(1e-4)) == 3);
 }
 
+/* Beyond a hundred microampere of the closed valve the whole half width of its side is added; the inverse takes it off. */
+static void test_leap(void)
+{
+    hydro_config config = CONFIG;
+    hydro_bench *bench = &config.bench;
+    hydro_real law = hydro_nominal_current(&config, STILL, 0, 0, 1e4f, 15, WHOLE), leapt;
+    CHECK(hydro_leap(bench, law) == law && hydro_before_leap(bench, law) == law); /* no overlap is known */
+    bench->valve_current_max = HYDRO_R(0.05);
+    bench->closing = HYDRO_R(1e-3);
+    bench->overlap_back = HYDRO_R(2e-4);
+    bench->overlap_out = HYDRO_R(6e-4);
+    CHECK(near(hydro_leap(bench, HYDRO_R(0.01)) * 1000, 10.6) && near(hydro_leap(bench, 0) * 1000, -0.2));
+    CHECK(near(hydro_leap(bench, HYDRO_R(1.05e-3)) * 1000, 1.35) && near(hydro_leap(bench, HYDRO_R(0.98e-3)) * 1000, 0.94));
+    CHECK(near(hydro_leap(bench, HYDRO_R(1e-3)) * 1000, 1));
+    for (int i = -20; i <= 20; i++) {
+        hydro_real current = HYDRO_R(1e-3) + HYDRO_R(2.1e-5) * (hydro_real)i;
+        CHECK(near((hydro_before_leap(bench, hydro_leap(bench, current)) - current) * 1000, 0));
+    }
+    leapt = hydro_nominal_current(&config, STILL, 0, 0, 1e7f, 15, WHOLE);
+    CHECK(near((leapt - HYDRO_R(6e-4)) / law, 1000));
+}
+
 /* The currents that protocol.md gives for trying a law, and one beside a tank that is not at 0 Pa. */
 static void test_currents_of_the_page(void)
 {

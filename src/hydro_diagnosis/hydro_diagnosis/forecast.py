@@ -29,6 +29,7 @@ import yaml
 from hydro_bridge.bags import is_bag
 from hydro_bridge.bags.recording import Bag, RecordingError, read_bag, read_messages, stream_bag
 from hydro_core.signals import PLANT_FIELDS, SAMPLE_PERIOD, SAMPLES_PER_STEP, STATE_FIELDS, Flag, FloatArray, Law
+from hydro_core.valve_overlap import LEAP, valve_overlap
 from hydro_diagnosis.bench_parameters import can_simulate
 from hydro_diagnosis.effects.base import EffectHypothesis
 from hydro_diagnosis.preprocessing.quality import SATURATION_SHARE
@@ -263,7 +264,11 @@ def _law_off(
     gain = scales[1] * eq.force_rate(n, stiff, (into_a, -into_b), 0.0)
     gain = np.maximum(gain, config.constants(box_bench)["gain_floor"][0])
     moving = scales[0] * eq.force_rate(n, stiff, (0.0, 0.0), channels["piston_velocity"])
-    action = nominal * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
+    overlap = valve_overlap(box_bench.effects)
+    widths = np.where(nominal < overlap["closing"], overlap["back"], overlap["out"])
+    beyond = (nominal - overlap["closing"]) / (LEAP * box_bench.valve_current_max + widths)
+    opening = nominal - widths * np.clip(beyond, -1.0, 1.0)
+    action = opening * gain + moving - followed[:, 1] - channels["proportional_gain"] * error
     current = channels["valve_current"]
     stopped = (np.abs(current) >= SATURATION_SHARE * box_bench.valve_current_max) & (current * missed > 0.0)
     grown = np.cumsum(np.where(stopped, 0.0, channels["integral_gain"] * missed)) * SAMPLE_PERIOD

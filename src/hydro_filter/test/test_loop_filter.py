@@ -12,11 +12,11 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from hydro_core.signals import CorrectionStatus, ReferenceSignal, StateArray, Waveform
+from hydro_core.valve_overlap import valve_overlap
 from hydro_filter.controller.loop_filter import LoopFilter, LoopFilterSettings, default_filter, filter_record
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import without_overlap
 from hydro_filter.model.sample import Sample
-from hydro_filter.model.terms import valve_overlap
 from hydro_sim.files.learned_bench import make_plant
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant, Plant
@@ -167,9 +167,9 @@ def test_the_overlap_is_the_bench_files(model: Bench) -> None:
     shift = {"id": "valve_offset", "parameters": {"current": 1e-3}}
     sizes = {"half_width": 4e-4, "half_width_negative": 2e-4}
     lopsided = replace(NOMINAL, effects=(shift, {"id": "valve_deadband", "form": "lopsided", "parameters": sizes}))
-    assert valve_overlap(model) == {"closing": 0.0, "back": 0.0, "out": 0.0} and without_overlap(model) is None
-    assert valve_overlap(overlapped(model)) == {"closing": 0.0, "back": WIDTH, "out": WIDTH}
-    assert valve_overlap(lopsided) == {"closing": -1e-3, "back": 2e-4, "out": 4e-4}
+    assert valve_overlap(model.effects) == {"closing": 0.0, "back": 0.0, "out": 0.0} and without_overlap(model) is None
+    assert valve_overlap(overlapped(model).effects) == {"closing": 0.0, "back": WIDTH, "out": WIDTH}
+    assert valve_overlap(lopsided.effects) == {"closing": -1e-3, "back": 2e-4, "out": 4e-4}
     assert without_overlap(overlapped(model)) == model
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -19,8 +20,11 @@ from hydro_policy.compensation.estimator import (
     LoadCell,
 )
 from hydro_policy.compensation.live import LiveCompensation
+from hydro_policy.envs import vector_runs
+from hydro_policy.envs.vector_env import VectorBench
 from hydro_policy.evaluation.controllers import Compensated
 from hydro_policy.supervision.override import GainOverride
+from hydro_policy.task.cases import EvaluationSettings
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.plant import AnalyticPlant
 from tests.offline_graph import OfflineGraph
@@ -59,6 +63,24 @@ def test_coefficients_of_a_polynomial_are_found() -> None:
     compensator = taught(8.0)
     np.testing.assert_allclose(compensator.coefficients[0], TRUE, rtol=5e-3, atol=1e-6)
     assert compensator.excitation[0] > 0.1 and not compensator.at_bound[0]
+
+
+def test_a_box_that_knows_its_overlap_leaps_over_it() -> None:
+    """Also where its bench file has a third too much of it."""
+    rubbing = {"id": "friction_coulomb", "parameters": {"force": 25.0}}
+    overlaps = [{"id": "valve_deadband", "parameters": {"half_width": width}} for width in (6e-4, 8e-4)]
+    settings, nominal = EvaluationSettings(frequencies=(0.5, 2.0), steps=True), Bench.nominal()
+    cases, gains, rmse = settings.cases, vector_runs.fixed_gains(np.zeros(2), (0.0, 0.0)), []
+    for believed in (nominal, *(replace(nominal, effects=(overlap,)) for overlap in overlaps)):
+        plants = [AnalyticPlant(replace(nominal, effects=(rubbing, overlaps[0]))) for _ in cases]
+        sums = np.zeros(len(cases))
+        for step in vector_runs.run(
+            VectorBench([believed] * len(cases), plants), cases, gains, settings, 1, Compensator(len(cases))
+        ):
+            error = step.samples["reference_force"] - step.samples["load_force"]
+            sums += np.sum(np.where(step.counted, error, 0.0) ** 2, axis=1)
+        rmse.append(np.sqrt(sums))
+    assert (rmse[1] < 0.7 * rmse[0]).all() and (rmse[2] < 0.85 * rmse[0]).all()
 
 
 def test_with_a_cell_the_fit_is_on_the_force_in_front_of_it() -> None:

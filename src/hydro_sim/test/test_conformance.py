@@ -92,6 +92,10 @@ BOXES: dict[str, dict[str, Any]] = {
     "a fifth of the bench": {"bench": scaled(0.2)},
     "ten times the bench": {"bench": scaled(10.0)},
     "a line that takes 15 ms": {"delay": 15},
+    "a known overlap of the valve": {
+        "bench": replace(NOMINAL, effects=({"id": "valve_deadband", "parameters": {"half_width": 2.5e-4}},)),
+        "effects": Effects(valve_deadband=ValveDeadband(half_width=2.5e-4)),
+    },
 }
 
 

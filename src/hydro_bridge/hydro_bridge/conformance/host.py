@@ -26,6 +26,7 @@ from hydro_bridge.serial.stream import Decoder, LinkCounts, no_frames_message
 from hydro_core.errors import UserError
 from hydro_core.signals import FADE_TIME, SAMPLE_PERIOD, STATE_FIELDS, Command, Flag, FloatArray, Waveform
 from hydro_core.signals import ReferenceSignal as Signal
+from hydro_core.valve_overlap import LEAP, valve_overlap
 
 FLAGS = ("ARMED", "TRIPPED", "WATCHDOG", "FILTER_STALE")
 GAINS, REFERENCE = ("proportional_gain", "integral_gain"), ("reference_force", "reference_force_rate")
@@ -310,8 +311,10 @@ class Host:
             least = 0.1 * gain_and_stiffness(bench, bench["spring_rest_position"], alpha * rest, rest, 1.0)[0]
             moving = gain_and_stiffness(bench, position, *pressures, 1.0)[1] * now["piston_velocity"]
             driven = now["f_c'"] + now["proportional_gain"] * error + integral + now["C_1"] * moving
-            valve_gain, _ = gain_and_stiffness(bench, position, *pressures, driven)
-            nominal = driven / np.maximum(now["C_2"] * valve_gain, least)
+            gained = now["C_2"] * gain_and_stiffness(bench, position, *pressures, driven)[0]
+            nominal, overlap = driven / np.maximum(gained, least), valve_overlap(bench.get("effects", ()))
+            share = np.clip((nominal - overlap["closing"]) / (LEAP * limit), -1.0, 1.0)
+            nominal += share * np.where(share < 0.0, overlap["back"], overlap["out"])
             right["nominal_valve_current"] = nominal, 2e-7 + 1e-4 * np.abs(nominal)
 
         whole = now["nominal_valve_current"] + delta_u

@@ -30,6 +30,7 @@ import numpy as np
 
 from hydro_core.settings import check, described, quantity
 from hydro_core.signals import SAMPLE_PERIOD, CorrectionStatus
+from hydro_core.valve_overlap import valve_overlap
 from hydro_filter.metric import ScheduledMetric
 from hydro_filter.model.loop import coordinate_names, make_loop
 from hydro_filter.model.records import (
@@ -42,7 +43,6 @@ from hydro_filter.model.records import (
     new_monitors,
 )
 from hydro_filter.model.sample import Sample
-from hydro_filter.model.terms import valve_overlap
 from hydro_sim.box.firmware import RecordArray, address_of
 from hydro_sim.files import learned_bench
 from hydro_sim.model.bench import NOMINAL, Bench
@@ -247,7 +247,7 @@ def filter_record(
             f"{', '.join(needed)}: make one with `ros2 run hydro_filter learn_metric --model`"
         )
     values = {f"loop.{name}": value for name, value in loop.values.items()}
-    values |= metric.firmware_fields | valve_overlap(model)
+    values |= metric.firmware_fields | valve_overlap(model.effects)
     values |= {
         "kept": math.exp(-2.0 * settings.contraction_rate * SAMPLE_PERIOD),
         "foreign_kept": math.exp(-2.0 * settings.foreign_rate * SAMPLE_PERIOD),

@@ -8,7 +8,7 @@ The loop has two models, both compiled from the bench file::
 
 Dry friction, as an effect or a closure, overlap and gaps are bounded disturbances to the metric: within them nothing
 moves, and a derivative there does not describe the loop. The certificate counts the part of the current that passes an
-overlap (`terms.valve_overlap`).
+overlap (`hydro_core.valve_overlap`).
 
 The certificate has eight coordinates, and further ones for dead times and lagging pressure sensors
 (`terms`). Effects without a coordinate are refused: a second lag of the valve or of one sensor. Other
@@ -26,12 +26,13 @@ import numpy as np
 import numpy.typing as npt
 
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray, StateArray, to_matrix
+from hydro_core.valve_overlap import OVERLAP_EFFECT, null_shifts
 from hydro_filter.model import terms
 from hydro_filter.model.coordinates import LOOP_FIELDS, Q_HYDRAULIC, Q_SPOOL, coordinate_scales
 from hydro_filter.model.records import LOOP_DTYPE, SAMPLE_DTYPE, make_record
 from hydro_filter.model.sample import HYDRAULIC_FORCE, LOAD_FORCE, POSITION, PRESSURE_A, PRESSURE_B, STATE_SIZE
-from hydro_sim.box.box import BoxConfig
-from hydro_sim.box.firmware import BENCH_FIELDS, RecordArray
+from hydro_sim.box.box import BoxConfig, believed_numbers
+from hydro_sim.box.firmware import RecordArray
 from hydro_sim.model import hydraulics
 from hydro_sim.model.bench import Bench
 from hydro_sim.model.bench_model import TEXTBOOK_STATE_COUNT, BenchModel
@@ -39,7 +40,7 @@ from hydro_sim.model.effects import catalogue
 from hydro_sim.model.grammar import depends_on_direction, has_hidden_states, signals_of
 from hydro_sim.model.sensors import Sensors
 
-DISTURBANCE_EFFECTS = ("friction_coulomb", "friction_stribeck", "friction_presliding", terms.OVERLAP_EFFECT, "backlash")
+DISTURBANCE_EFFECTS = ("friction_coulomb", "friction_stribeck", "friction_presliding", OVERLAP_EFFECT, "backlash")
 """Effects left out of the linearized loop, as bounded disturbances."""
 FORCE_ALLOWANCES, PRESSURE_ALLOWANCES = np.array([0.025, 0.05, 0.04, 0.0, 0.0]), np.array([0.0, 0.0, 0.0, 1.0, 1.0])
 """Residuals that the monitor's equations allow at any motion, shape (5,). Over the bench's force: model error of the
@@ -107,14 +108,14 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
     ]
 
     # load, friction, sensors and valve
-    numbers, law, size = model_bench.constants()[0], box_bench.constants()[0], box_bench.size
+    numbers, size = model_bench.constants()[0], box_bench.size
     positions: FloatArray = np.asarray(np.linspace(-0.05, 1.05, 1101) * float(numbers["stroke"]), np.float64)
     forces = terms.load_curve(
         numbers, [one for one in model_bench.terms if one["id"] not in DISTURBANCE_EFFECTS], positions
     )
     if not (np.diff(forces) > 0.0).all():
         raise ValueError("the filter needs a load that rises with the piston's position over the whole stroke")
-    level, (before, after) = terms.dry_friction(model_bench), terms.null_shifts(model_bench)
+    level, (before, after) = terms.dry_friction(model_bench), null_shifts(model_bench.effects)
     bristles = any(effect["id"] == "friction_presliding" for effect in model_bench.effects)
     (lag, inertia), (gain, bias) = terms.load_cell_coefficients(model_bench), terms.sensor_calibration(model_bench)
     area, stiffness_a = float(numbers["piston_area"]), hydraulics.stiffnesses(numbers, float(rest[2]))[0]
@@ -157,7 +158,7 @@ def make_loop(model_bench: Bench, box_bench: Bench) -> Loop:
         "least_opening": 0.1 * float(numbers["valve_current_max"]),
         "gain_floor": float(BoxConfig().constants(box_bench)["gain_floor"][0]),
         "velocity_memory": float(Sensors().constants()[0]["velocity_memory"]),
-        "bench": tuple(float(law[name]) for name in BENCH_FIELDS),
+        "bench": believed_numbers(box_bench),
     }  # fmt: skip
     for name, model, indices in (("whole", whole, states), ("linear", linear, linear_states)):
         cell, cell_rate = terms.load_cell_indices(model.bench, indices)
@@ -249,5 +250,5 @@ def without_disturbances(bench: Bench) -> Bench:
 
 def without_overlap(bench: Bench) -> Bench | None:
     """Return the bench without its valve's overlap; None if it has none."""
-    kept = tuple(effect for effect in bench.effects if effect["id"] != terms.OVERLAP_EFFECT)
+    kept = tuple(effect for effect in bench.effects if effect["id"] != OVERLAP_EFFECT)
     return replace(bench, effects=kept) if len(kept) < len(bench.effects) else None

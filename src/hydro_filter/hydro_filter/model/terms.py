@@ -39,8 +39,6 @@ VALVE_LAG, LOAD_CELL_LAG, FORCE_CELL_LAG = (
 )  # fmt: skip
 PRESSURE_LAGS = "sensor_lag sensor=pressure_a", "sensor_lag sensor=pressure_b"
 """Labels of the lags of chamber A's and chamber B's pressure sensor."""
-OVERLAP_EFFECT = "valve_deadband"
-"""Id of the valve's overlap, a range of currents that gives no flow."""
 POSITION_STATE, VELOCITY_STATE, LOAD_STATE, LOAD_RATE_STATE = 2, 3, 4, 5
 """Indices of the textbook model's states; load force and its rate are behind the bench's own amplifier."""
 PRESSURE_UNCERTAINTY = 1.875e-4
@@ -126,30 +124,6 @@ def dry_friction(bench: Bench) -> float:
     """Return the level [N] up to which dry friction holds the piston."""
     dry = [parameters_of(one) for one in bench.effects if one["id"] in ("friction_coulomb", "friction_stribeck")]
     return sum(max(value for name, value in each.items() if "force" in name) for each in dry)
-
-
-def null_shifts(bench: Bench) -> tuple[float, float]:
-    """Return the null shifts [A] before and after the valve's lag, in the order of the bench file."""
-    shifts, behind = [0.0, 0.0], False
-    for effect in bench.effects:
-        behind = behind or effect["id"] == VALVE_LAG
-        if effect["id"] == "valve_offset":
-            shifts[behind] += parameters_of(effect)["current"]
-    return shifts[0], shifts[1]
-
-
-def valve_overlap(bench: Bench) -> dict[str, float]:
-    """Return the overlap of a bench's valve [A], summed over its effects.
-
-    `closing`: current that closes the valve; `back`, `out`: half widths of negative openings and of others.
-    """
-    closing, back, out = -sum(null_shifts(bench)), 0.0, 0.0
-    for effect in bench.effects:
-        if effect["id"] == OVERLAP_EFFECT:
-            widths = parameters_of(effect)
-            out += widths["half_width"]
-            back += widths.get("half_width_negative", widths["half_width"])
-    return {"closing": closing, "back": back, "out": out}
 
 
 class LaggingSensor(NamedTuple):

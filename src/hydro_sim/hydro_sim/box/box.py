@@ -28,6 +28,7 @@ from hydro_bridge.serial.protocol import GAIN_FIELDS, INTEGRAL_FORMS, PAPER_LAW,
 from hydro_core.bench_scales import rescale
 from hydro_core.settings import SettingsError, check, described, quantity
 from hydro_core.signals import STATE_DTYPE, Command, FloatArray, Law, StateArray
+from hydro_core.valve_overlap import valve_overlap
 from hydro_sim.box import firmware
 from hydro_sim.box.firmware import BENCH_FIELDS, Precision, RecordArray, signal_record
 from hydro_sim.model import equations, hydraulics
@@ -125,13 +126,19 @@ class BoxConfig:
             "digest": np.frombuffer(bench.digest.encode()[:12].ljust(12, b"\0"), np.uint8),
         }  # fmt: skip
         record = np.zeros(1, kinds.config)
-        for entry in BENCH_FIELDS:
-            record["bench"][entry] = believed[entry]
+        record["bench"] = believed_numbers(bench)
         record["laws"][0, Law.PAPER] = np.array(_law(replace(PAPER_LAW, **gains)), kinds.law)
         record["laws"][0, Law.COMPENSATED] = compensated
         for entry, number in numbers.items():
             record[entry] = number
         return record
+
+
+def believed_numbers(bench: Bench) -> tuple[float, ...]:
+    """Return the numbers of hydro_bench, those of `BENCH_FIELDS`, of the bench that a force law assumes."""
+    numbers, overlap = bench.constants()[0], valve_overlap(bench.effects)
+    leapt = overlap["closing"], overlap["back"], overlap["out"]
+    return (*(float(numbers[name]) for name in BENCH_FIELDS[: -len(leapt)]), *leapt)
 
 
 def _law(law: BoxLaw) -> tuple[Any, ...]:

@@ -45,7 +45,7 @@ VELOCITY_COMPENSATION_INDEX, VALVE_GAIN_SCALE_INDEX = 5, 6
 
 BENCH_FIELDS = (
     "bulk_modulus", "piston_area", "area_ratio", "stroke", "supply_pressure", "tank_pressure", "dead_volume_a",
-    "dead_volume_b", "valve_gain", "valve_current_max",
+    "dead_volume_b", "valve_gain", "valve_current_max", "closing", "overlap_back", "overlap_out",
 )  # fmt: skip
 
 
