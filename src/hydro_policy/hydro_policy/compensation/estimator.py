@@ -23,6 +23,11 @@ and are sent as part of a_3, for the f_r and f_r' of the middle of the policy st
     100 Hz    A <- (1 - w) A + phi phi^T,  b <- (1 - w) b + phi F_c               w = dt / memory, by excitation
               a = argmin sum (F_c - phi^T a)^2 + weight |a - start|^2             within the law's limits
 
+f and its derivatives hold the load cell's noise, which alone adds to phi phi^T, and so makes the coefficients of the
+higher derivatives too small. `NOISE_SHARE` of what it adds is taken off (bias-compensated least squares: Soderstrom
+2007, Automatica 43(6), 939), at most as much of the whole. It is taken for white at 1 kHz; its variance is that of the
+third differences of f, which hardly show what follows a reference.
+
 All channels pass through the same filter: a misalignment of a derivative by half a sample would be 5 % of a_1.
 
 The box applies all of them at 1 kHz to exact derivatives of f_r. Without a_4 the full a_2 would, where f_r depends on f
@@ -64,6 +69,11 @@ FILTER_SETTLING_TIME = 0.2  # settling time [s] of the filter after a gap, in wh
 PREDICTION_HORIZON = 0.01  # prediction horizon [s] of f_r' in the further terms, from the last sample
 
 PLAY_HALF_WIDTHS = (0.25, 0.5, 0.75)  # S_j over `force_scale`
+
+NOISE_SHARE = 0.8
+"""Of the noise in the fit, taken off: its variance is known to a tenth, and a matrix of less has no inverse."""
+
+THIRD_DIFFERENCE_GAIN = 20.0  # variance of the third difference of white noise, over its own
 
 INITIAL_COEFFICIENTS = np.array((1.0, 0.02, 1e-4, *[0.0] * (6 + len(PLAY_HALF_WIDTHS))))
 """Initial a_0 to a_4, b_0 to b_3, c_0 to c_2; a_1 is half the usual lag, which bounds its initial error by as much."""
@@ -147,6 +157,7 @@ class _Constants(NamedTuple):
     lower: FloatArray
     upper: FloatArray  # bounds of the fit, shape (12,)
     plays: FloatArray  # S_j [N], shape (3,)
+    noise: FloatArray  # of phi phi^T of a_0, a_1, a_2, a_4, from white noise of 1 N in f, shape (4, 4)
 
 
 class _Memory(NamedTuple):
@@ -160,6 +171,8 @@ class _Memory(NamedTuple):
     vector: FloatArray  # of the fit, shapes (n, 12, 12) and (n, 12)
     steps: npt.NDArray[np.int64]  # since the last gap, shape (n,)
     excitation: FloatArray  # shape (n,)
+    noise: FloatArray  # variance of the noise in f [N^2], shape (n,)
+    noise_sum: FloatArray  # the same as `matrix` holds it [N^2 s], shape (n,)
 
 
 _SETTINGS_DTYPE = np.dtype([(each.name, np.float64) for each in fields(CompensatorSettings)])
@@ -194,9 +207,16 @@ class Compensator:
         regressors = np.zeros((4, FILTER_ORDER))
         for row in range(4):
             regressors[row, row : row + len(inverse)] = inverse
+        regressors /= force * scale[[0, 1, 2, 4], np.newaxis]
+        transition, inputs = _filter(self.settings.bandwidth)
+        covariance = np.zeros_like(transition)  # of the filter's state, for white noise of 1 N
+        for _ in range(round(1.0 / STEP_PERIOD)):
+            covariance = transition @ covariance @ transition.T + inputs.T @ inputs
         self._constants = _Constants(
-            *_filter(self.settings.bandwidth),
-            regressors=regressors / scale[[0, 1, 2, 4], np.newaxis] / force,
+            transition,
+            inputs,
+            regressors=regressors,
+            noise=regressors @ covariance @ regressors.T,
             scale=scale,
             weights=np.array(
                 [self.settings.weight] * (VALVE_TERMS - 1)
@@ -223,6 +243,8 @@ class Compensator:
             vector=np.empty((count, *INITIAL_COEFFICIENTS.shape)),
             steps=np.empty(count, np.int64),
             excitation=np.empty(count),
+            noise=np.empty(count),
+            noise_sum=np.empty(count),
         )
         self.excitation: FloatArray = self._memory.excitation
         """Excitation: mean square of f' over the memory, relative to a sine of `force_scale` at 1 Hz, shape (n,)."""

@@ -14,8 +14,10 @@ from hydro_policy.compensation.estimator import (
     FILTER_SETTLING_TIME,
     INITIAL_COEFFICIENTS,
     LEVEL,
+    NOISE_SHARE,
     PREDICTION_HORIZON,
     STEP_PERIOD,
+    THIRD_DIFFERENCE_GAIN,
     VALVE_TERMS,
 )
 from hydro_sim.jit import njit
@@ -47,6 +49,8 @@ def update(settings, constants, memory, samples, active, frozen, counted, coeffi
                         total += inputs[k + 1, j] * now[k]
                     state[j] = total
                 memory.last[i, channel] = now[-1]
+            share = max(STEP_PERIOD / settings[0].memory, 1.0 / (memory.steps[i] + 1.0))
+            memory.noise[i] += share * (_noise(samples[i, 1]) - memory.noise[i])
             memory.steps[i] += 1
             if memory.steps[i] * STEP_PERIOD > FILTER_SETTLING_TIME and not frozen[i]:
                 _learn(settings[0], constants, memory, i)
@@ -105,6 +109,15 @@ def _plausible(settings, memory, signals, i):
 
 
 @njit
+def _noise(measured):
+    """Variance of white noise [N^2] in the force of a policy step, from its third differences."""
+    total = 0.0
+    for k in range(3, SAMPLES_PER_STEP):
+        total += (measured[k] - 3.0 * (measured[k - 1] - measured[k - 2]) - measured[k - 3]) ** 2
+    return total / (SAMPLES_PER_STEP - 3) / THIRD_DIFFERENCE_GAIN
+
+
+@njit
 def _learn(settings, constants, memory, i):
     """Update fit and coefficients."""
     share, states, found = STEP_PERIOD / settings.memory, memory.states[i], memory.estimate[i]
@@ -120,8 +133,15 @@ def _learn(settings, constants, memory, i):
     kept = 1.0 - share * ratio * min(excitation / settings.good_excitation, 1.0)
     memory.matrix[i] = kept * memory.matrix[i] + STEP_PERIOD * np.outer(phi, phi)
     memory.vector[i] = kept * memory.vector[i] + STEP_PERIOD * phi * target
+    memory.noise_sum[i] = kept * memory.noise_sum[i] + STEP_PERIOD * memory.noise[i]
     if excitation >= settings.least_excitation:
-        matrix = memory.matrix[i] + np.diag(constants.weights)
+        matrix, off = memory.matrix[i] + np.diag(constants.weights), memory.noise_sum[i]
+        places = (0, 1, 2, LEVEL + 1)
+        for j in range(len(places)):
+            off = min(off, memory.matrix[i, places[j], places[j]] / constants.noise[j, j])
+        for j in range(len(places)):
+            for k in range(len(places)):
+                matrix[places[j], places[k]] -= NOISE_SHARE * off * constants.noise[j, k]
         fit = (
             np.linalg.solve(matrix, memory.vector[i] + constants.weights * INITIAL_COEFFICIENTS * constants.scale)
             / constants.scale
