@@ -3,9 +3,9 @@
 
 A claim is retained if its interval excludes its absence, if it is physically possible, and if it does not increase the
 held-out errors. Where the names leave more than noise, those that act there may only mimic what is missing: they are
-retained if together they account for nearly all of it, and each removes more than what remains. The remaining share is
-reported. Viscous friction is not retained where the pressures are not explained: hoses between taps and chambers drop
-as much.
+retained if together they account for nearly all of it, and each removes more than what remains; single edges of the
+valve, which together take any form, are not. The remaining share is reported. Viscous friction is not retained where
+the pressures are not explained: hoses between taps and chambers drop as much.
 
 `accounted` of an equation is 1 - (rms of the residual) / (rms of what the bench file misses) on held-out recordings,
 the noise subtracted from both.
@@ -64,7 +64,8 @@ def retain_claims(problem: Problem, holdout: Problem, found: Fit, baseline_fit: 
             noisy = problem.excess_channels(found.residual)
             suspects = [claim for claim in found.cause_claims if _main_channel(problem, found, claim) in noisy]
             if explained_share(problem, found, baseline_fit) >= MIN_EXPLAINED_SHARE:
-                suspects = _smaller_than_the_rest(problem, found, suspects)
+                edges = [claim for claim in suspects if claim.effect.physics.edge]  # take any form of a valve's flow
+                suspects = edges or _smaller_than_the_rest(problem, found, suspects)
             labels = {claim.effect.label for claim in suspects}
             trusted = tuple(claim for claim in found.claims if claim.effect.label not in labels)
             found = fit(problem, trusted) if suspects else found

@@ -65,12 +65,13 @@ def problem_with(causes: dict[str, tuple[float, ...]]) -> Problem:
     [
         ({"valve_deadband": (8e-4,), "valve_gain": (0.9,), "leakage_external:a": (3e-14,)}, 0.02),
         ({"valve_lag": (90.0, 0.9)}, 0.05),
+        ({"valve_gain": (1.1,), "valve_gain_drift": (5e-3,), "valve_offset": (2e-4,)}, 0.02),
     ],
 )
-def test_a_hard_dead_band_is_no_soft_one_and_a_lag_of_second_order_no_dead_time(
+def test_the_usual_cause_is_named_in_place_of_those_that_mimic_it(
     causes: dict[str, tuple[float, ...]], tolerance: float
 ) -> None:
-    """A soft dead band comes first, as it takes the form of band and gain; neither leak nor gain is left beside it."""
+    """A soft dead band takes the form of band and gain, a dead time of a lag; all four edges are gain and offset."""
     found = {one.effect.label: tuple(one.values.values()) for one in search(problem_with(causes)).fit.claims}
     assert found == {label: pytest.approx(sizes, rel=tolerance, abs=0.0) for label, sizes in causes.items()}
 

@@ -221,7 +221,9 @@ class Search:
         """
         self.steps.clear()
         self._unguarded = self._passed_over = False
-        outcome = self._grown(SearchOutcome(self.problem.reweighted(()), baseline_fit, baseline_fit))
+        outcome = self._common_to_edges(
+            self._grown(SearchOutcome(self.problem.reweighted(()), baseline_fit, baseline_fit))
+        )
         if self._passed_over and outcome.problem.has_excess(outcome.fit.residual):
             self._unguarded = True
             whole = self._grown(replace(outcome, steps=[*outcome.steps], rivals={**outcome.rivals}))
@@ -229,6 +231,19 @@ class Search:
                 return whole
             self.steps[:] = outcome.steps
         return outcome
+
+    def _common_to_edges(self, outcome: SearchOutcome) -> SearchOutcome:
+        """The outcome with causes common to the valve's edges in place of several single ones, if as likely."""
+        single = [claim for claim in outcome.fit.cause_claims if claim.effect.physics.edge]
+        if len(single) < 2 or self._exhausted:
+            return outcome
+        others = fit(outcome.problem, [claim for claim in outcome.fit.claims if claim not in single])
+        library = [effect for effect in self.library if not effect.physics.edge]
+        settings = replace(self.settings, max_claims=len(outcome.fit.cause_claims))
+        common = Search(self.problem, library, settings, self.progress)._grown(
+            SearchOutcome(outcome.problem, others, outcome.baseline_fit)
+        )
+        return common if common.fit.score <= outcome.fit.score else outcome
 
     def _grown(self, outcome: SearchOutcome) -> SearchOutcome:
         """The outcome with further claims."""
