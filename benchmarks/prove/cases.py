@@ -82,6 +82,8 @@ SINGLES: dict[str, dict[str, Any]] = {
     "valve_null_leakage": {"coefficient": Size(5e-11, 1e-9), "width": shape(3e-4, 2e-3)},
     "supply_droop": {"resistance": Size(1e10, 1e11), "time_constant": shape(0.02, 0.3)},
     "return_line": {"resistance": Size(1e10, 2e11), "time_constant": shape(0.003, 0.1)},
+    "supply_pump": {"flow_limit": shape(4e-6, 1.2e-5), "volume": shape(3e-4, 1e-3)},
+    "oil_drift": {"rate": _signed(2e-3, 1.2e-2)},
     "bulk_modulus": {"ratio": Size(0.05, 0.3, neutral=1.0, signs=(-1,))},
     "entrained_air": {"volume_fraction": Size(2e-3, 2e-2)},
     "load_cell_gain": {"ratio": _ratio(0.02, 0.1), "cell": _CELL},
@@ -115,6 +117,7 @@ FORMS: dict[str, dict[str, Any]] = {
     "valve_lag/rate_limited": {"bandwidth": shape(80.0, 180.0), "damping": 0.8, "rate_limit": shape(2.0, 6.0)},
     "valve_deadband/soft": {"half_width": Size(1e-4, 1e-3), "form": "soft"},
     "valve_deadband/lopsided": {"half_width": Size(1e-4, 5e-4), "half_width_negative": Size(1e-4, 5e-4)},
+    "return_line/orifice": {"orifice": shape(8e-9, 3e-8), "time_constant": shape(0.004, 0.05), "form": "orifice"},
     "entrained_air/isothermal": {"volume_fraction": Size(3e-3, 2e-2), "form": "isothermal"},
     "valve_null_leakage/hyperbolic": {
         "coefficient": Size(1e-10, 1e-9), "width": shape(3e-4, 2e-3), "form": "hyperbolic"},

@@ -52,11 +52,11 @@ _IDS = {
     "sensor": ("load_cell_gain", "load_cell_bias", "pressure_sensor_bias", "sensor_lag", "cell_crosstalk"),
     "actuation": ("valve_deadband", "valve_lag", "transport_delay", "valve_offset", "valve_gain",
                   "valve_gain_asymmetry", "valve_null_leakage", "valve_gain_drift", "supply_droop", "return_line",
-                  "supply_pressure", "tank_pressure", "valve_underlap", "valve_edge",
+                  "supply_pressure", "supply_pump", "tank_pressure", "valve_underlap", "valve_edge",
                   "valve_temperature", "supply_ripple"),
-    "pressure_a": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
+    "pressure_a": ("leakage_internal", "leakage_external", "bulk_modulus", "oil_drift", "entrained_air", "piston_area",
                    "dead_volume", "wall_flexibility"),
-    "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "entrained_air", "piston_area",
+    "pressure_b": ("leakage_internal", "leakage_external", "bulk_modulus", "oil_drift", "entrained_air", "piston_area",
                    "dead_volume", "area_ratio", "wall_flexibility"),
 }  # fmt: skip
 """Causes that act in each equation."""

@@ -46,7 +46,8 @@ class BenchScales:
 _EXPONENTS: Mapping[str, tuple[float, float, float, float]] = {
     "N": (1, 0, 0, 0), "N/s": (1, 0, 0, 0), "Pa": (0, 1, 0, 0), "m": (0, 0, 1, 0), "m/s": (0, 0, 1, 0),
     "A": (0, 0, 0, 1), "A/s": (0, 0, 0, 1), "N/m": (1, 0, -1, 0), "N s/m": (1, 0, -1, 0), "kg": (1, 0, -1, 0),
-    "N/m3": (1, 0, -3, 0), "m3/Pa": (1, -2, 1, 0), "m3/s/Pa": (1, -2, 1, 0), "m3/s/sqrt(Pa)": (1, -1.5, 1, 0),
+    "N/m3": (1, 0, -3, 0), "m3": (1, -1, 1, 0), "m3/s": (1, -1, 1, 0), "m3/Pa": (1, -2, 1, 0),
+    "m3/s/Pa": (1, -2, 1, 0), "m3/s/sqrt(Pa)": (1, -1.5, 1, 0),
     "Pa s/m3": (-1, 2, -1, 0),
 }  # fmt: skip
 """Exponents of force, pressure, length and current by unit; areas are forces over pressures."""

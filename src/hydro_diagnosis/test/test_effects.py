@@ -89,6 +89,31 @@ def test_a_line_settles_where_its_drop_is_that_of_the_flow_and_as_fast_as_it_say
     np.testing.assert_allclose(left, np.exp(-STEP * (1.0 + gain) / lag), rtol=2e-3)
 
 
+def test_a_volume_behind_an_orifice_settles_where_both_flows_agree_and_as_fast_as_it_says() -> None:
+    """K_1 sqrt(P - p) = K_2 sqrt(p); a small step of P decays with the volume over the slopes of both flows."""
+    given, edge, outlet, capacity = np.full(400, 8e6), 1e-8, 2e-8, 1e-12
+    given[1:] += 1e3
+    nothing = np.zeros(400)
+    found = Memory(STEP).volume_pressure((np.full(400, edge), given, nothing, nothing), capacity, outlet=(outlet, 0.0))
+    steady = 8e6 / (1.0 + (outlet / edge) ** 2)
+    assert found[0] == pytest.approx(steady, rel=1e-3)
+    slopes = edge / (2.0 * (8e6 - steady) ** 0.5) + outlet / (2.0 * steady**0.5)
+    left = (found[2:30] - found[-1]) / (found[1:29] - found[-1])
+    np.testing.assert_allclose(left, np.exp(-STEP * slopes / capacity), rtol=2e-2)
+
+
+def test_a_pump_that_cannot_give_more_sags_as_its_volume_says_to_where_both_flows_agree() -> None:
+    """p' = (Q - K sqrt(p)) beta / V, from the relief pressure to p = (Q / K)^2."""
+    limit, edge, relief, capacity = 8e-6, 4e-9, 16e6, 3e-13
+    opened = np.where(np.arange(4000) < 100, 0.0, edge)
+    nothing = np.zeros(4000)
+    found = Memory(STEP).volume_pressure((opened, nothing, nothing, nothing), capacity, flow=limit, most=relief)
+    np.testing.assert_allclose(found[:100], relief)
+    rate = (limit - edge * relief**0.5) / capacity
+    assert found[101] - found[100] == pytest.approx(rate * STEP, rel=1e-2)
+    assert found[-1] == pytest.approx((limit / edge) ** 2, rel=1e-2)
+
+
 def test_effects_stay_within_what_a_bench_allows() -> None:
     light = replace(BENCH, spring_stiffness=1.0, viscous_friction=0.0, moving_mass=0.01, area_ratio=1.0)
     for effect in (one.adapted(light) for one in LIBRARY):

@@ -232,6 +232,22 @@ def test_return_line_settles_where_its_drop_is_that_of_what_bleeds(bench: Bench)
     np.testing.assert_allclose(y[:2], (bench.supply_pressure + risen) / 2.0, rtol=3e-3)
 
 
+def test_pump_and_return_orifice_settle_where_what_bleeds_is_what_they_give_and_pass(bench: Bench) -> None:
+    """All four edges open by w: q = 2 K w sqrt((p_s - p_r) / 2) = Q - c p_s, and p_r = (q / K_r)^2."""
+    width, limit, leak, outlet = 1e-3, 8e-6, 1e-13, 2e-8
+    gain = bench.valve_nominal_flow / (bench.valve_nominal_current * sqrt(bench.valve_nominal_pressure_drop / 2.0))
+    pump = effect("supply_pump", flow_limit=limit, relief_pressure=16e6, volume=2e-4, leakage=leak)
+    line = effect("return_line form=orifice", orifice=outlet, time_constant=0.02)
+    held = replace(bench, moving_mass=1e7, effects=(effect("valve_underlap", half_width=width), pump, line))
+    model = BenchModel(held)
+    k, y, _ = model.begin(model.values)
+    model.rollout(k, y, np.zeros(6000))
+    supply, returned = 16e6 - y[6], y[7]
+    flow = 2.0 * gain * width * sqrt((supply - returned) / 2.0)
+    assert supply < 15e6 and flow == pytest.approx(limit - leak * supply, rel=3e-3)
+    assert returned == pytest.approx((flow / outlet) ** 2, rel=1e-2)
+
+
 @pytest.mark.parametrize("damping", [0.2, 1.0, 3.0])
 def test_lags_are_exponentials_of_their_matrix(damping: float) -> None:
     lag = effect("valve_lag", bandwidth=300.0, damping=damping)

@@ -252,11 +252,13 @@ class Effect:
         out, back = bound.openings(*edges, spool)
         return np.asarray(out), np.asarray(back)
 
-    def supply(self, supply: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+    def supply(self, supply: FloatArray, edges: EdgesOfLine, bench: Bench, memory: Memory,
+               values: ParameterValues) -> FloatArray:  # fmt: skip
         """Supply pressure [Pa] at the valve, from that of the source."""
         return supply
 
-    def tank(self, tank: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+    def tank(self, tank: FloatArray, edges: EdgesOfLine, bench: Bench, memory: Memory,
+             values: ParameterValues) -> FloatArray:  # fmt: skip
         """Pressure [Pa] behind the valve's tank edges, from the tank's."""
         return tank
 
@@ -269,9 +271,13 @@ class Effect:
         from_a, from_b = bound.leaks(*oil.pressures)
         return flows[0] - from_a, flows[1] - from_b
 
-    def modulus(self, modulus: FloatArray, pressure: FloatArray, values: ParameterValues) -> FloatArray:
-        """Bulk modulus [Pa] of a chamber at its pressure [Pa]."""
-        return np.asarray(self._bound(values).modulus(modulus, pressure))
+    def modulus(
+        self, modulus: FloatArray, pressure: FloatArray, values: ParameterValues, time: FloatArray | float = 0.0
+    ) -> FloatArray:
+        """Bulk modulus [Pa] of a chamber at its pressure [Pa], `time` [s] after the recording began."""
+        bound = self._bound(values, step=0.0)
+        bound.time = time
+        return np.asarray(bound.modulus(modulus, pressure))
 
     def dry_level(self, level: FloatArray, motion: Kinematics, values: ParameterValues) -> FloatArray:
         """Magnitude [N, >= 0] of dry friction while sliding; the model applies the sign of the velocity."""

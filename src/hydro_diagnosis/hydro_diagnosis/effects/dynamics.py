@@ -125,17 +125,38 @@ def _softplus(over):
 class SupplyDroop(Effect):
     """Droop of the supply pressure with the flow drawn, after a first-order lag."""
 
-    def supply(self, supply: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+    def supply(self, supply: FloatArray, edges: EdgesOfLine, bench: Bench, memory: Memory,
+               values: ParameterValues) -> FloatArray:  # fmt: skip
         return memory.line_pressure(supply, edges, values["resistance"], values["time_constant"])
 
 
 class ReturnLine(Effect):
     """Pressure of the return line with the flow, after a first-order lag: a droop of negative pressures."""
 
-    def tank(self, tank: FloatArray, edges: EdgesOfLine, memory: Memory, values: ParameterValues) -> FloatArray:
+    def tank(self, tank: FloatArray, edges: EdgesOfLine, bench: Bench, memory: Memory,
+             values: ParameterValues) -> FloatArray:  # fmt: skip
         out, behind_out, back, behind_back = edges
         drawn = out, -behind_out, back, -behind_back
         return -memory.line_pressure(-tank, drawn, values["resistance"], values["time_constant"])
+
+
+class ReturnLineOrifice(Effect):
+    """Pressure of the return line, a volume behind an orifice."""
+
+    def tank(self, tank: FloatArray, edges: EdgesOfLine, bench: Bench, memory: Memory,
+             values: ParameterValues) -> FloatArray:  # fmt: skip
+        return memory.volume_pressure(edges, self._bound(values).capacity, outlet=(values["orifice"], float(tank[0])))
+
+
+class SupplyPump(Effect):
+    """Supply of a pump of limited flow, with its relief valve, on a volume."""
+
+    def supply(self, supply: FloatArray, edges: EdgesOfLine, bench: Bench, memory: Memory,
+               values: ParameterValues) -> FloatArray:  # fmt: skip
+        capacity = self._bound(values, bench=bench).capacity
+        return memory.volume_pressure(
+            edges, capacity, flow=values["flow_limit"], leakage=values["leakage"], most=values["relief_pressure"]
+        )
 
 
 class Stribeck(Effect):
@@ -204,6 +225,8 @@ EFFECT_CLASSES: dict[type[physics.Effect], type[Effect]] = {
     valve.ValveDeadbandSoft: SoftOverlap,
     oil.SupplyDroop: SupplyDroop,
     oil.ReturnLine: ReturnLine,
+    oil.ReturnLineOrifice: ReturnLineOrifice,
+    oil.SupplyPump: SupplyPump,
     friction.FrictionStribeck: Stribeck,
     friction.FrictionPresliding: FrictionPresliding,
     motion.BacklashPlay: Backlash,

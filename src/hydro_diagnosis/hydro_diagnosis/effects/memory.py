@@ -72,6 +72,18 @@ class Memory:
         share = 1.0 - (1.0 - decay) * time_constant / self.step
         return np.asarray(_line_pressure(source, *edges, resistance, decay, share))
 
+    def volume_pressure(
+        self, edges: tuple[FloatArray, FloatArray, FloatArray, FloatArray], capacity: float, *, flow: float = 0.0,
+        leakage: float = 0.0, most: float = math.inf, outlet: tuple[float, float] = (0.0, 0.0),
+    ) -> FloatArray:  # fmt: skip
+        """Mean pressure [Pa] over each sample in a volume of oil between the valve's edges and a pump, or an outlet.
+
+        `edges`: as of `line_pressure`; `capacity`: volume over bulk modulus [m3/Pa]; `flow`, `leakage`: of the pump
+        [m3/s, m3/s/Pa], up to the pressure `most` [Pa]; `outlet`: its conductance [m3/s/sqrt(Pa)] and the pressure [Pa]
+        behind it.
+        """
+        return np.asarray(_volume_pressure(*edges, *outlet, flow, leakage, most, self.step / capacity))
+
     def low_pass(self, signal: FloatArray, bandwidth: float, damping: float) -> FloatArray:
         """Second-order low-pass, `bandwidth` in Hz, of a signal that is linear between samples."""
         numerator, denominator = second_order_low_pass(round(bandwidth, 9), round(damping, 9), self.step)
@@ -118,6 +130,53 @@ def _line_pressure(source, first, behind_first, second, behind_second, resistanc
         lagged = flow if k < 0 else flow + (lagged - flow) * decay
         found[at] = pressure
     return found
+
+
+@njit
+def _volume_pressure(first, behind_first, second, behind_second, third, behind_third, flow, leakage, most, rise):
+    found = np.empty_like(first)
+    begin = most if math.isfinite(most) else behind_third
+    for k in range(-1, len(first)):  # first the steady state of the first sample
+        at, weight = max(k, 0), 0.5 * rise if k >= 0 else 1e30
+        ways = (first[at], behind_first[at]), (second[at], behind_second[at]), (third, behind_third)
+        if k < 0:
+            low = min(behind_first[at], behind_second[at], behind_third)
+            high = max(behind_first[at], behind_second[at], most if math.isfinite(most) else behind_third)
+            begin, gain = low, 0.0
+        else:
+            gain = _net_flow(begin, ways, flow, leakage)[0]
+            low, high = min(begin, begin + rise * gain), max(begin, begin + rise * gain)
+        pressure = begin
+        for _ in range(100):
+            net, slope = _net_flow(pressure, ways, flow, leakage)
+            beyond = (pressure - begin) / weight - gain - net
+            if beyond > 0.0:
+                high = pressure
+            else:
+                low = pressure
+            ahead = pressure - beyond / (1.0 / weight - slope)
+            if not low <= ahead <= high:  # Newton's step leaves the bracket
+                ahead = 0.5 * (low + high)
+            moved = abs(ahead - pressure)
+            pressure = ahead
+            if moved < 0.1:  # Pa
+                break
+        pressure = min(pressure, most)
+        found[at] = 0.5 * (begin + pressure)
+        begin = pressure
+    return found
+
+
+@njit
+def _net_flow(pressure, ways, flow, leakage):
+    """Flow [m3/s] into a volume, and its derivative by the pressure; `ways`: conductance, pressure behind it."""
+    flow, slope = flow - leakage * pressure, -leakage
+    for conductance, behind in ways:
+        drop = pressure - behind
+        root = math.sqrt(abs(drop) + 1e3)
+        flow -= conductance * drop / root
+        slope -= conductance * (abs(drop) * 0.5 + 1e3) / root**3
+    return flow, slope
 
 
 @njit

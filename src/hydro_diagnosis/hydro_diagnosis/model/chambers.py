@@ -141,9 +141,9 @@ def net_flows(bench: Bench, oil: ChamberInputs, claims: Sequence[EffectHypothesi
         pa, at, pb, bt = edges
         supply, tank = np.full_like(p_a, bench.supply_pressure), np.full_like(p_a, bench.tank_pressure)
         for claim in claims_acting_in(claims, "supply"):
-            supply = claim.effect.supply(supply, (pa, p_a, pb, p_b), memory, claim.values)
+            supply = claim.effect.supply(supply, (pa, p_a, pb, p_b), bench, memory, claim.values)
         for claim in claims_acting_in(claims, "tank"):
-            tank = claim.effect.tank(tank, (bt, p_b, at, p_a), memory, claim.values)
+            tank = claim.effect.tank(tank, (bt, p_b, at, p_a), bench, memory, claim.values)
         edge_flows(*flows, (pa, at, pb, bt), p_a, p_b, supply, tank)
     else:
         nominal_flows(*flows, bench.valve_gain, oil.spool, p_a, p_b, bench.supply_pressure, bench.tank_pressure)
@@ -159,7 +159,7 @@ def chamber_stiffnesses(bench: Bench, oil: ChamberInputs, claims: Sequence[Effec
     for k, pressure in enumerate(oil.pressures if softer else ()):
         moduli[k] = np.full_like(pressure, bench.bulk_modulus)
         for claim in softer:
-            moduli[k] = claim.effect.modulus(moduli[k], pressure, claim.values)
+            moduli[k] = claim.effect.modulus(moduli[k], pressure, claim.values, oil.time)
     stiff: Pair = eq.stiffnesses(bench, (moduli[0], moduli[1]), oil.position)
     return stiff
 

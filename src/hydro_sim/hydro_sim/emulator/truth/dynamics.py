@@ -32,6 +32,7 @@ from hydro_sim.emulator.truth.parameters import (
     ATMOSPHERIC_PRESSURE,
     DELAY_SAMPLES,
     LUGRE_FRICTION,
+    NEVER_REACHED,
     SMOOTH_FRICTION,
     SUBSTEP_TIME,
     SUBSTEPS,
@@ -167,6 +168,8 @@ def dry_friction(p, velocity, bristle, level, other_force):
     return min(max(holding, -level), level)
 
 
+RELIEF_SLOPE = 1e-9  # m3/s/Pa, of a pump's relief valve
+
 STOP_STIFFNESS = 2e7  # N/m, metal on metal
 STOP_DAMPING = 2e3  # N s/m
 
@@ -291,7 +294,14 @@ def _derivative(p, state, y, pressure_a, pressure_b, time, command, slope):
     elif p.spool_order == 1.0:
         slope[SPOOL] = min(max(p.spool_frequency * ahead, -p.spool_rate_limit), p.spool_rate_limit)
     slope[SUPPLY] = (p.source_pressure - p.droop_resistance * state.draw - y[SUPPLY]) / p.droop_time
+    if p.pump_flow < NEVER_REACHED:
+        lost = RELIEF_SLOPE * max(y[SUPPLY] - p.source_pressure, 0.0) + p.pump_leakage * y[SUPPLY]
+        slope[SUPPLY] = p.bulk_modulus / p.pump_volume * (p.pump_flow - state.draw - lost)
     slope[RETURN] = (p.tank_pressure + p.line_resistance * (out_of_a + out_of_b) - y[RETURN]) / p.line_time
+    if p.line_orifice > 0.0:
+        volume_over_modulus = p.line_time * p.line_orifice / (2.0 * math.sqrt(5e5))
+        passed = orifice_flow(p.line_orifice, y[RETURN] - p.tank_pressure)
+        slope[RETURN] = (out_of_a + out_of_b - passed) / volume_over_modulus
     slope[HYSTERESIS] = 0.0
     if p.hysteresis_force != 0.0:  # Bouc-Wen
         size, velocity = abs(y[HYSTERESIS]) ** p.hysteresis_exponent, y[VELOCITY]
@@ -324,6 +334,11 @@ def _acceleration(p, state, y, pressure_a, pressure_b, time):
 def hold_command(p, state, current, walk_noise):
     """Begin a sample: store its valve current [A] and draw the random force's next value."""
     state.commands[state.sample % DELAY_SAMPLES] = current
+    if p.oil_drift != 0.0:  # at once, at equal pressures: the content is the volume at zero pressure
+        p.bulk_modulus = p.bulk_modulus_at_start * (1.0 + p.oil_drift * state.sample * SAMPLE_PERIOD)
+        position = state.y[POSITION]
+        state.y[CONTENT_A] = content_of(p, state.pressure_a, p.dead_volume_a + p.area_a * position)
+        state.y[CONTENT_B] = content_of(p, state.pressure_b, p.dead_volume_b + p.area_b * (p.stroke - position))
     if p.walk_force > 0.0:
         kept = math.exp(-SAMPLE_PERIOD / p.walk_time)
         state.walk = kept * state.walk + math.sqrt(1.0 - kept * kept) * walk_noise

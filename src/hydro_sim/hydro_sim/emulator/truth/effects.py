@@ -144,11 +144,34 @@ class SupplyDroop:
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReturnLine:
-    """Volume behind a line to the tank: T p_r' = p_t + R q - p_r, with q what the valve returns."""
+class SupplyPump:
+    """Pump of this flow on a volume of oil, with a relief valve: the supply sags while the valve draws more."""
 
-    resistance: Annotated[float, quantity("Pa s/m3", 0.0, 2e12)]
+    flow_limit: Annotated[float, quantity("m3/s", 0.0, 1.0)]
+    relief_pressure: Annotated[float, quantity("Pa", 1e5, 1e8)] | None = None  # absent: the supply pressure
+    volume: Annotated[float, quantity("m3", 1e-6, 1.0)] = 8e-4
+    leakage: Annotated[float, quantity("m3/s/Pa", 0.0, 1e-9)] = 1e-13
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReturnLine:
+    """Volume behind a line to the tank: T p_r' = p_t + R q - p_r, with q what the valve returns.
+
+    The form `orifice` has one in place of the resistance: p_r' = (q - orifice sqrt(p_r - p_t)) / C. There the time
+    constant is that at 0.5 MPa.
+    """
+
+    resistance: Annotated[float, quantity("Pa s/m3", 0.0, 2e12)] = 0.0
+    orifice: Annotated[float, quantity("m3/s/sqrt(Pa)", 1e-10, 1e-5)] = 1.5e-8
     time_constant: Annotated[float, quantity("s", 1e-3, 5.0)] = 0.02
+    form: Literal["laminar", "orifice"] = "laminar"
+
+
+@dataclass(frozen=True, kw_only=True)
+class OilDrift:
+    """Relative change of the bulk modulus over time, as oil warms."""
+
+    rate: Annotated[float, quantity("1/s", -0.05, 0.05)]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -281,8 +304,10 @@ class Effects:
     valve_null_leakage: ValveNullLeakage | None = None
     valve_gain_drift: ValveGainDrift | None = None
     supply_droop: SupplyDroop | None = None
+    supply_pump: SupplyPump | None = None
     return_line: ReturnLine | None = None
     bulk_modulus: TrueRatio | None = None
+    oil_drift: OilDrift | None = None
     entrained_air: EntrainedAir | None = None
     load_cell_gain: tuple[LoadCellGain, ...] = ()
     load_cell_bias: tuple[LoadCellBias, ...] = ()

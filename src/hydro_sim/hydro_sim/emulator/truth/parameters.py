@@ -36,7 +36,9 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
     dead = {one.chamber: one.ratio for one in effects.dead_volume}
     air = effects.entrained_air or kinds.EntrainedAir(volume_fraction=0.0)
     droop = effects.supply_droop or kinds.SupplyDroop(resistance=0.0)
-    line = effects.return_line or kinds.ReturnLine(resistance=0.0)
+    line = effects.return_line or kinds.ReturnLine()
+    source = bench.supply_pressure * (effects.supply_pressure or UNIT_RATIO).ratio
+    pump = effects.supply_pump or kinds.SupplyPump(flow_limit=0.0)
     ripple = outside.supply_ripple or kinds.SupplyRipple(amplitude=0.0)
     internal = effects.leakage_internal or kinds.LeakageInternal(coefficient=0.0)
     external = {one.chamber: one.coefficient for one in effects.leakage_external}
@@ -48,10 +50,15 @@ def _hydraulics(config: TruthConfig) -> dict[str, Any]:
         "wall_compliance": outside.wall_flexibility.compliance if outside.wall_flexibility else 0.0,
         "bulk_modulus": bench.bulk_modulus * (effects.bulk_modulus or UNIT_RATIO).ratio,
         "air_fraction": air.volume_fraction, "air_exponent": 1.0 if air.form == "isothermal" else 1.4,
-        "source_pressure": bench.supply_pressure * (effects.supply_pressure or UNIT_RATIO).ratio,
+        "bulk_modulus_at_start": bench.bulk_modulus * (effects.bulk_modulus or UNIT_RATIO).ratio,
+        "oil_drift": effects.oil_drift.rate if effects.oil_drift else 0.0,
+        "source_pressure": pump.relief_pressure or source,
+        "pump_flow": pump.flow_limit if effects.supply_pump else NEVER_REACHED, "pump_volume": pump.volume,
+        "pump_leakage": pump.leakage,
         "tank_pressure": effects.tank_pressure.pressure if effects.tank_pressure else bench.tank_pressure,
         "droop_resistance": droop.resistance, "droop_time": droop.time_constant,
         "line_resistance": line.resistance, "line_time": line.time_constant,
+        "line_orifice": line.orifice if line.form == "orifice" else 0.0,
         "ripple_amplitude": ripple.amplitude, "ripple_frequency": ripple.frequency,
         "leak_internal": internal.coefficient if internal.form == "laminar" else 0.0,
         "leak_internal_orifice": internal.coefficient * math.sqrt(5e6) if internal.form == "orifice" else 0.0,

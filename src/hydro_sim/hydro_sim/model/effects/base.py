@@ -32,6 +32,9 @@ from hydro_sim.model.equations import Symbol
 DECLARED_SIZE = BenchScales(force=300.0, pressure=16e6, length=0.08, current=0.05)
 """Size of the machine for which the effects' fits are declared: the nominal bench's."""
 
+DRIFT_MIN, DRIFT_MAX = 0.2, 5.0
+"""Bounds of a factor that drifts with time: a simulation may run for hours."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class FitParameter:

@@ -10,11 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from hydro_sim.model.effects import lags
-from hydro_sim.model.effects.base import Effect, fit, hidden, parameter
+from hydro_sim.model.effects.base import DRIFT_MAX, DRIFT_MIN, Effect, fit, hidden, parameter
 from hydro_sim.model.equations import EDGES, Symbol, clip
-
-DRIFT_GAIN_MIN, DRIFT_GAIN_MAX = 0.2, 5.0
-"""Bounds of a gain that drifts with time: a simulation may run for hours."""
 
 _PORTS = {"p": "supply", "a": "chamber A", "b": "chamber B", "t": "tank"}
 
@@ -196,7 +193,7 @@ class ValveGainDrift(_Valve):
 
     def openings(self, out: Symbol, back: Symbol, spool: Symbol) -> tuple[Symbol, Symbol]:
         self.next["time"] = self.time + self.at.step
-        ratio = clip(1.0 + self.rate * (self.time + 0.5 * self.at.step), DRIFT_GAIN_MIN, DRIFT_GAIN_MAX)
+        ratio = clip(1.0 + self.rate * (self.time + 0.5 * self.at.step), DRIFT_MIN, DRIFT_MAX)
         return out * ratio, back * ratio
 
 
