@@ -39,8 +39,8 @@ BLOCKS = {PRESSURE: ("pressure_a", "pressure_b"), MOTION: ("motion",), LOAD: ("l
 """Channels of residuals in each block."""
 CHANNELS = tuple(channel for channels in BLOCKS.values() for channel in channels)
 """Channels of residuals, in the order of a problem's residual vector."""
-SLOPE_STEP = 1e3
-"""Step [Pa] of the finite differences for the slope of a nonlinear sensor."""
+SLOPE_STEP = 6e-5
+"""Step of the finite differences by a pressure, over the supply's."""
 _EQUATION_BLOCKS = {"motion": {MOTION}, "load": {MOTION, LOAD}}
 _CHANNEL_BLOCKS = {
     "hydraulic_force": {MOTION, HYDRAULIC}, "load_force": {LOAD}, "pressure_a": {PRESSURE, HYDRAULIC},

@@ -192,14 +192,14 @@ class Responses:
     @cached_property
     def _by_pressure(self) -> dict[str, Pair]:
         """Derivatives of the pressure increments per sample in chambers A and B by each pressure."""
-        found = {}
+        found, step = {}, SLOPE_STEP * self.model.base.size.pressure
         for k, name in enumerate(_PRESSURES):
             moved = []
             for sign in (1.0, -1.0):
                 pressures = list(self._oil.pressures)
-                pressures[k] = pressures[k] + sign * SLOPE_STEP
+                pressures[k] = pressures[k] + sign * step
                 shifted = replace(self._oil, pressures=(pressures[0], pressures[1]))
                 moved.append(self.model.pressure_increments(self.bench, shifted, self.claims)[1])
-            a, b = ((up - down) / (2.0 * SLOPE_STEP) for up, down in zip(*moved, strict=True))
+            a, b = ((up - down) / (2.0 * step) for up, down in zip(*moved, strict=True))
             found[name] = a, b
         return found

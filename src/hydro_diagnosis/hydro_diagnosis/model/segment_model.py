@@ -282,8 +282,9 @@ class SegmentModel:
     def reading_slope(self, channel: str, signal: FloatArray, curved: Sequence[EffectHypothesis]) -> FloatArray:
         """Slope [-] of a nonlinear sensor's reading over its true signal, in the middle of each interval, (n,)."""
         signal = chambers.interval_means(signal)
-        above, below = (self.reading(channel, signal + sign * SLOPE_STEP, curved) for sign in (1.0, -1.0))
-        return np.asarray((above - below) / (2.0 * SLOPE_STEP))
+        step = SLOPE_STEP * self.base.size.pressure
+        above, below = (self.reading(channel, signal + sign * step, curved) for sign in (1.0, -1.0))
+        return np.asarray((above - below) / (2.0 * step))
 
     # -- forces --------------------------------------------------------------------------------------------------------
 

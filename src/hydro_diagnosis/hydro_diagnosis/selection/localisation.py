@@ -43,17 +43,17 @@ class FreeForm:
 
 
 _INPUTS = (
-    ("pressure_a", "", 1e-7),
-    ("pressure_b", "", 1e-7),
-    ("actuation", "", 1e-4),
-    ("motion", "", 1.0),
-    ("load", "", 1.0),
-    ("sensor", "hydraulic_force", 1.0),
-    ("sensor", "load_force", 1.0),
-    ("sensor", "pressure_a", 1e4),
-    ("sensor", "pressure_b", 1e4),
+    ("pressure_a", ""),
+    ("pressure_b", ""),
+    ("actuation", ""),
+    ("motion", ""),
+    ("load", ""),
+    ("sensor", "hydraulic_force"),
+    ("sensor", "load_force"),
+    ("sensor", "pressure_a"),
+    ("sensor", "pressure_b"),
 )
-"""Equation, sensor, and scale of the basis functions, so that columns are of similar length."""
+"""Equation, and sensor."""
 
 
 def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
@@ -64,15 +64,15 @@ def free_forms(problem: Problem, found: Fit) -> list[FreeForm]:
     base = problem.deviance(left / weight)
     forms = []
     ways = [Responses(model, problem.blocks, (*problem.baseline, *found.claims)) for model in problem.models]
-    inputs = [one for one in _INPUTS if _visible(problem, *one[:2])]
+    inputs = [one for one in _INPUTS if _visible(problem, *one)]
     have = set.intersection(*(set(model.channels) for model in problem.models))
     variables = ["time", "position", "velocity"]
     variables += ["current"] if "valve_current" in have else []
     variables += ["pressure_a", "pressure_b", "pressure_difference"] if {"pressure_a", "pressure_b"} <= have else []
     for variable in variables:
         hats = _hats(problem, variable)
-        for equation, sensor, size in inputs:
-            shown = [_response(way, equation, sensor, size * own) for way, own in zip(ways, hats, strict=True)]
+        for equation, sensor in inputs:
+            shown = [_response(way, equation, sensor, own) for way, own in zip(ways, hats, strict=True)]
             inputs_shown = np.zeros((len(left), len(hats[0])))
             for channel, responses in problem.join_responses(shown, len(hats[0])).items():
                 inputs_shown[problem.layout.channel == channel] = responses.T
