@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reference pages that follow from the code: options of commands, ROS parameters, messages.
+"""Reference pages that follow from the code: options of commands, ROS parameters, messages, effects.
 
 The site's build adds them (`docs/site_hooks.py`); they are not committed. `python docs/generate_reference.py` prints
 them as a JSON object, text by path below docs/.
@@ -176,10 +176,46 @@ def messages_page() -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def effects_page() -> str:
+    """Return the page of all effects: as the diagnosis names them, and as the emulator conceals them."""
+    causes: dict[str, list[Any]] = {}
+    for effect in importlib.import_module("hydro_diagnosis.effects").LIBRARY:
+        causes.setdefault(effect.id, []).append(effect)
+    truth = importlib.import_module("hydro_sim.emulator.truth.effects")
+    emulated = {
+        name: next(iter(re.findall(r"[A-Z]\w+", str(field.type))))
+        for group in (truth.Effects, truth.UnnamedEffects)
+        for name, field in group.__dataclass_fields__.items()
+    }
+    lines = ["# Effects", "", GENERATED, ""]
+    lines += [
+        "What the diagnosis can name, and what the emulator's truth (`truth.yaml`) can conceal. Where one side is"
+    ]
+    lines += ["empty, it lacks the effect: the diagnosis can then only say that something is missing.", ""]
+    lines += ["| id | diagnosis: parameters | its options | emulator: keys | its forms |", "|---|---|---|---|---|"]
+    for name in sorted({*causes, *emulated}):
+        own = causes.get(name, [])
+        parameters = {f"`{one.name}` [{one.unit}]": None for effect in own for one in effect.parameters if one.reported}
+        options = [effect.label.partition(":")[2] for effect in own]
+        keys = describe(getattr(truth, emulated[name])) if name in emulated else {}
+        told = [f"`{key}`" for key, one in keys.items() if not one.choices]
+        forms = [choice for one in keys.values() for choice in one.choices]
+        cells = (
+            f"`{name}`",
+            ", ".join(parameters),
+            ", ".join(filter(None, options)),
+            ", ".join(told),
+            ", ".join(forms),
+        )
+        lines.append(f"| {' | '.join(cells)} |")
+    return "\n".join(lines) + "\n"
+
+
 def pages() -> dict[str, str]:
     """Return the text of every generated page, by its path below docs/."""
     found = {f"{REFERENCE}/commands/{package}.md": commands_page(package) for package in PACKAGES}
-    return {**found, f"{REFERENCE}/parameters.md": parameters_page(), f"{REFERENCE}/messages.md": messages_page()}
+    others = {"parameters": parameters_page(), "messages": messages_page(), "effects": effects_page()}
+    return {**found, **{f"{REFERENCE}/{name}.md": text for name, text in others.items()}}
 
 
 if __name__ == "__main__":
