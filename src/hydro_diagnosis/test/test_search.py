@@ -65,15 +65,25 @@ def problem_with(causes: dict[str, tuple[float, ...]]) -> Problem:
     [
         ({"valve_deadband": (8e-4,), "valve_gain": (0.9,), "leakage_external:a": (3e-14,)}, 0.02),
         ({"valve_lag": (90.0, 0.9)}, 0.05),
-        ({"valve_gain": (1.1,), "valve_gain_drift": (5e-3,), "valve_offset": (2e-4,)}, 0.02),
     ],
 )
-def test_the_usual_cause_is_named_in_place_of_those_that_mimic_it(
+def test_a_hard_dead_band_is_no_soft_one_and_a_lag_of_second_order_no_dead_time(
     causes: dict[str, tuple[float, ...]], tolerance: float
 ) -> None:
-    """A soft dead band takes the form of band and gain, a dead time of a lag; all four edges are gain and offset."""
+    """A soft dead band comes first, as it takes the form of band and gain; neither leak nor gain is left beside it."""
     found = {one.effect.label: tuple(one.values.values()) for one in search(problem_with(causes)).fit.claims}
     assert found == {label: pytest.approx(sizes, rel=tolerance, abs=0.0) for label, sizes in causes.items()}
+
+
+def test_four_edges_that_move_alike_are_one_offset_and_one_gain() -> None:
+    """The spool at u + u_0 opens two edges earlier and two later."""
+    problem = problem_with({"valve_gain": (1.1,), "valve_offset": (2e-4,)})
+    sides = {"pa": -2e-4, "at": 2e-4, "pb": 2e-4, "bt": -2e-4}
+    single = fit(problem, [claim(f"valve_edge:{edge}", overlap, 1.1) for edge, overlap in sides.items()])
+    assert not problem.has_excess(single.residual)
+    outcome = Search(problem, ADAPTED)._common_to_edges(SearchOutcome(problem, single, fit(problem, ())))
+    found = {one.effect.label: [*one.values.values()] for one in outcome.fit.claims}
+    assert found == {"valve_gain": pytest.approx([1.1], rel=1e-3), "valve_offset": pytest.approx([2e-4], rel=0.01)}
 
 
 @pytest.mark.parametrize("half_width", [4e-4, 1.5e-3])
