@@ -21,10 +21,18 @@ from hydro_diagnosis.estimation.noise import sensor_noise
 from hydro_diagnosis.estimation.problem import Layout, Problem
 from hydro_diagnosis.experiment_design import catalog, expected_difference, next_for_law, simulated_recording
 from hydro_diagnosis.io.table import RawTable
-from hydro_diagnosis.judge import accounted_shares, assess, retain_claims, unsupported
+from hydro_diagnosis.judge import (
+    MIN_EXPLAINED_SHARE,
+    accounted_shares,
+    assess,
+    explained_share,
+    retain_claims,
+    unsupported,
+)
 from hydro_diagnosis.model import chambers
 from hydro_diagnosis.model.segment_model import SegmentModel
 from hydro_diagnosis.preprocessing.quality import check_recording
+from hydro_diagnosis.report.corrected_bench import corrected_bench
 from hydro_diagnosis.selection.localisation import free_forms
 from hydro_diagnosis.stages.reporting import common_spectral_line
 from hydro_diagnosis.validation import HORIZON_TIME, MAX_LEFT_OUT_SHARE, compare, equation_errors, worse_channels
@@ -109,6 +117,30 @@ def test_a_name_that_makes_what_was_held_out_worse_is_not_claimed() -> None:
     for held, claimed in ((problem(4.0), True), (problem(0.0), False)):
         kept, _ = retain_claims(fitted, held, found, nothing)
         assert ("force_offset" in {one.effect.label for one in kept.claims}) == claimed
+
+
+def retained(problem: Problem, *claims: EffectHypothesis) -> list[str]:
+    found = fit(problem, claims)
+    return [one.effect.label for one in retain_claims(problem, problem, found, fit(problem, ()))[0].claims]
+
+
+def test_viscous_friction_is_not_claimed_where_the_pressures_are_not_explained() -> None:
+    """Hoses between the taps and the chambers take a force in proportion to the velocity, too."""
+    problem, soft = problem_of(viscous_friction=90.0, bulk_modulus=1.1e9), claim("bulk_modulus", 0.8)
+    assert retained(problem, VISCOUS) == []
+    assert retained(problem, VISCOUS, soft) == ["friction_viscous", "bulk_modulus"]
+
+
+@pytest.mark.parametrize(
+    ("label", "sizes", "kept"), [("valve_gain", (0.7,), True), ("valve_edge:at", (0.0, 0.7), False)]
+)
+def test_a_single_edge_is_claimed_only_where_nothing_remains(label: str, sizes: tuple[float, ...], kept: bool) -> None:
+    cause, leak = claim(label, *sizes), claim("leakage_external:a", 2e-14)
+    problem = problem_in(record(corrected_bench(NOMINAL, [cause, leak]), 3))
+    found, nothing = fit(problem, [cause]), fit(problem, ())
+    assert problem.has_excess(found.residual) and explained_share(problem, found, nothing) > MIN_EXPLAINED_SHARE
+    assert retained(problem, cause) == ([label] if kept else [])
+    assert retained(problem, cause, leak) == [label, "leakage_external:a"]
 
 
 def test_pressure_at_the_zero_of_a_gauge_is_no_cavitation(nominal: StateArray) -> None:
