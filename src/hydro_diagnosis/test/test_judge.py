@@ -27,6 +27,7 @@ from hydro_diagnosis.judge import (
     assess,
     explained_share,
     retain_claims,
+    supported_names,
     unsupported,
 )
 from hydro_diagnosis.model import chambers
@@ -117,6 +118,13 @@ def test_a_name_that_makes_what_was_held_out_worse_is_not_claimed() -> None:
     for held, claimed in ((problem(4.0), True), (problem(0.0), False)):
         kept, _ = retain_claims(fitted, held, found, nothing)
         assert ("force_offset" in {one.effect.label for one in kept.claims}) == claimed
+
+
+def test_a_name_found_beside_laws_is_claimed_only_where_what_was_held_out_leaves_noise() -> None:
+    fitted, heavier = problem_of(viscous_friction=90.0), problem_of(viscous_friction=90.0, moving_mass=2.2)
+    found, nothing = fit(fitted, [claim("friction_viscous", 30.0)]), fit(fitted, ())
+    for held, known, claimed in ((fitted, nothing, 1), (heavier, nothing, 0), (heavier, found, 1)):
+        assert len(supported_names(fitted, held, found, known)[0].claims) == claimed
 
 
 def retained(problem: Problem, *claims: EffectHypothesis) -> list[str]:
