@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
+import json
 import os
 import secrets
 import shutil
+import socket
 import subprocess
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+
+import numpy as np
 
 from hydro_bridge.ros.companion import executable_path
 from hydro_sim.box.box import BoxConfig
@@ -19,13 +23,19 @@ from hydro_sim.model.bench import Bench
 
 BOARD = Path(__file__).resolve().parent.parent / "firmware" / "boards" / "stm32f405"
 MISSING = [tool for tool in ("arm-none-eabi-gcc", "arm-none-eabi-nm", "qemu-system-arm") if shutil.which(tool) is None]
+PAINT = 0x57AC57AC
 SLOWNESS = 6
 """Times slower than real time: two cores that others use, too, take and give a byte at a time."""
 
 
+def configure(folder: Path) -> None:
+    """Write the configuration of a box of the nominal bench."""
+    (folder / "box_config.h").write_text(render_header(BoxConfig().constants(Bench.nominal(), name="board")))
+
+
 def build(folder: Path, program: str = "box", flags: str = "") -> Path:
     """A program of the board, for the nominal bench."""
-    (folder / "box_config.h").write_text(render_header(BoxConfig().constants(Bench.nominal(), name="board")))
+    configure(folder)
     words = [f"CONFIG={folder / 'box_config.h'}", f"OUT={folder}", f"FLAGS={flags}", f"{folder / program}.elf"]
     done = subprocess.run(["make", "-B", "-C", BOARD, *words], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
@@ -74,6 +84,23 @@ class Core:
             self._core.kill()
             self._core.wait()
             self._core = None
+
+    def stack(self) -> int:
+        """Bytes of the stack that were ever used: the others still have their paint."""
+        first, end = (address(self.program, name) for name in ("_stack_begin", "_stack_end"))
+        dump = self.folder / "stack"
+        orders = [{"execute": "qmp_capabilities"}, {"execute": "pmemsave", "arguments": {
+            "val": first, "size": end - first, "filename": str(dump)}}]  # fmt: skip
+        with socket.socket(socket.AF_UNIX) as line:
+            line.connect(str(self.folder / "qmp"))
+            answers = line.makefile()
+            answers.readline()
+            for order in orders:
+                line.sendall(json.dumps(order).encode())
+                while "return" not in (answer := json.loads(answers.readline())):
+                    assert "error" not in answer, answer
+        words = np.frombuffer(dump.read_bytes(), np.uint32)
+        return int(4 * (len(words) - np.argmax(words != PAINT)))
 
     def order(self, text: str) -> None:
         """Give the converters an order."""

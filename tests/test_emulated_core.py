@@ -3,20 +3,26 @@
 
 from __future__ import annotations
 
+import re
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, suppress
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from hydro_bridge.conformance.command import FAIL, PASS, Run
 from hydro_bridge.conformance.host import Host, SilenceError
+from hydro_bridge.ros.companion import executable_path
 from hydro_bridge.serial.port import Port, PortSettings
 from hydro_bridge.serial.protocol import State
 from hydro_core.files import bench_digest
-from hydro_core.signals import Flag, Waveform
+from hydro_core.signals import Flag, Law, Waveform
 from tests import emulated_core
+from tests.checks import ran
 from tests.emulated_core import Core
 
 pytestmark = [
@@ -32,6 +38,10 @@ IN_TIME = ("framing.garbage", "hello.answered", "idle.values", "order.old", "ref
 CREEP = 3e-3
 """m that the piston may go on by itself, of 15 that 300 N are: the oil relaxes while the valve is shut."""
 X, F, U = 6, 2, 8  # places of position, load force and valve current in a sample
+
+
+def numbers() -> dict[str, Any]:
+    return bench_digest.read_parameters(Path(str(bench_digest.shipped_bench_file())))
 
 
 @pytest.fixture(scope="module")
@@ -101,11 +111,47 @@ def restarted(host: Host, before: State) -> None:
     drive(host)
 
 
-def test_it_keeps_the_protocol(board: Core) -> None:
-    numbers = bench_digest.read_parameters(Path(str(bench_digest.shipped_bench_file())))
+def test_its_stack_is_two_kibibytes_at_most(board: Core, host: Host) -> None:
+    drive(host)
+    for waveform in (Waveform.SINE, Waveform.MULTISINE, Waveform.SMOOTH_STEP):
+        host.send(waveform=waveform, amplitude=50.0, offset=100.0, law=Law.COMPENSATED)
+        host.receive(50, times=1)
+    host.greet(3000)
+    used = board.stack()
+    print(f"deepest stack {used} bytes")
+    assert 500 < used < 2048
+
+
+@pytest.mark.study
+def test_what_a_sample_costs_and_how_far_it_is_from_the_library(tmp_path: Path) -> None:
+    """Instructions by QEMU's counter, printed; the same to single precision's last places."""
+    emulated_core.configure(tmp_path)
+    made = ran(executable_path("hydro_filter", "export_c"), "--out", tmp_path / "filter_config.h")
+    assert made.returncode == 0, made.stderr
+    done = subprocess.run(
+        [sys.executable, emulated_core.BOARD / "figures.py", tmp_path], capture_output=True, text=True, check=True
+    )
+    print(done.stdout)
+    shares = {line.split(":")[0]: line for line in done.stdout.splitlines()}
+    for kind in ("greeting", "multisine", "compensated", "fade"):
+        assert float(re.search(r"([\d.]+)% at", shares[kind])[1]) < 30.0
+        assert float(re.search(r"current ([^,]+)", shares[kind])[1]) < 1e-8
+
+
+@pytest.mark.study
+def test_it_keeps_the_whole_protocol_and_moves(board: Core) -> None:
+    """Each case passes, or is not judged: its host was late."""
     with closing(Port(PortSettings(path=str(board.port)))) as port:
         port.open()
-        rows = Run(lambda: Host(port, bench=numbers), IN_TIME).start()
+        rows = Run(lambda: Host(port, bench=numbers(), moving=True)).start()
+    assert {row["case"]: row["found"] for row in rows if row["result"] == FAIL} == {}
+    assert sum(row["result"] == PASS for row in rows) > len(rows) // 2
+
+
+def test_it_keeps_the_protocol(board: Core) -> None:
+    with closing(Port(PortSettings(path=str(board.port)))) as port:
+        port.open()
+        rows = Run(lambda: Host(port, bench=numbers()), IN_TIME).start()
     assert [row for row in rows if row["result"] == FAIL] == []
     assert sum(row["result"] == PASS for row in rows) >= 4, [row["case"] + " " + row["found"] for row in rows]
 

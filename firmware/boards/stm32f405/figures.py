@@ -20,7 +20,7 @@ HERE = Path(__file__).resolve().parent
 BUDGET = 168_000
 """Cycles of a millisecond."""
 CYCLES = 1.7
-"""Cycles an instruction, assumed: loads and branches take two and more, the flash waits, divisions and roots take 14."""
+"""Cycles an instruction, assumed: loads and branches take two and more, divisions and roots 14, and the flash waits."""
 STATES = ("current", "f_c", "M_c")
 
 
