@@ -54,7 +54,8 @@ class Core:
     def __init__(self, program: Path, folder: Path, slowness: int = SLOWNESS) -> None:
         self.program, self.folder, self.slowness = program, folder, slowness
         self.port, self._core = folder / "port", None
-        words = ["--analogue", folder / "analogue", "--link", self.port, "--control", folder / "control"]
+        words = ["--analogue", folder / "analogue", "--link", self.port, "--control", folder / "control",
+                 "--pace", str(1.0 / slowness)]  # fmt: skip
         self._converters = subprocess.Popen(
             [executable_path("hydro_sim", "emulator"), *words], stdout=subprocess.PIPE, text=True
         )
@@ -69,11 +70,10 @@ class Core:
                 while os.read(end, 65536):
                     pass
             os.close(end)
-        kept = self.slowness << 32 | secrets.randbits(32)
         self._core = subprocess.Popen(
             ["qemu-system-arm", "-M", "netduinoplus2", "-kernel", self.program, "-display", "none", "-monitor", "none",
              "-serial", f"pipe:{self.folder / 'line'}", "-serial", f"pipe:{self.folder / 'analogue'}",
-             "-device", f"loader,addr={address(self.program, 'kept')},data={kept},data-len=8",
+             "-device", f"loader,addr={address(self.program, 'kept')},data={secrets.randbits(32)},data-len=4",
              "-qmp", f"unix:{self.folder / 'qmp'},server=on,wait=off"],
             stdout=subprocess.DEVNULL,
         )  # fmt: skip

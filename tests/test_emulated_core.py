@@ -78,7 +78,7 @@ def drive(host: Host) -> State:
     until(host, lambda state: not state.flags & (Flag.TRIPPED | Flag.WATCHDOG))
     host.send(arm=True, waveform=Waveform.HOLD, offset=300.0)
     until(host, lambda state: bool(state.flags & Flag.ARMED))
-    return until(host, lambda state: bool(state.flags & Flag.ARMED) and abs(state.values[F] - 300.0) < 10.0)
+    return until(host, lambda state: bool(state.flags & Flag.ARMED) and abs(state.values[F] - 300.0) < 30.0)
 
 
 def rest(host: Host, last: State, samples: int = 100) -> list[State]:

@@ -3,12 +3,13 @@
  *
  *   USART1 (PA9, PA10)   the line to the host, 2 Mbaud
  *   USART2 (PA2, PA3)    stands for the converters, 2 Mbaud: a current out starts a conversion, five readings come back
- *   SysTick              1 kHz, begins a sample, which is PendSV: bytes come in and go out meanwhile
+ *   SysTick              1 kHz, begins a sample, which is PendSV: bytes come in and go out meanwhile. On an emulated
+ *                        core the end of a conversion begins it
  *   IWDG                 10 ms; SysTick, too, restarts a core whose samples stay away, where there is no IWDG
  *
  * Frames of the converters, counts little-endian, the last byte the sum of those before:
  *
- *   out   5A  n  current (2)                       32768 is 0 A, 32767 more valve_current_max
+ *   out   5A  n  current (2)                       32768 is 0 A, 32767 more valve_current_max; n is 0 only behind a reset
  *   in    A5  n  f_h f_l p_a p_b x_p (2 each)      from the middle of a reading's range, 1.25 times it over 65535
  */
 #include "../../examples/bare_metal.c"
@@ -16,8 +17,7 @@
 #include "startup.h"
 
 #define BOARD_FRAME 13        /* bytes of a conversion */
-#define BOARD_LOST 3          /* ms without a conversion after which the readings are none, on a board */
-#define BOARD_LOST_THERE 50   /* and on an emulator, whose host may have other things to do */
+#define BOARD_LOST 3          /* samples without a conversion after which the readings are none */
 #define BOARD_STUCK 100       /* equal counts of a reading after which its converter is stuck: noise moves a live one */
 #define BOARD_WATCHDOG 20     /* ms without a sample after which SysTick restarts the core */
 #define BOARD_SENT_MAX 2048u  /* bytes of a ring; a power of two */
@@ -33,12 +33,12 @@ static uint32_t conversion_count;
 static uint16_t counts[5], before[5];
 static uint32_t equal[5];
 static volatile uint32_t conversions, unfed;
-static uint32_t conversions_read, lost = BOARD_LOST_THERE, currents;
+static volatile bool due;
+static uint32_t conversions_read, lost = BOARD_LOST, currents;
 
-/* Survives a reset, not a power-off. An emulator writes the first two: what a random number generator would have given,
- * and how many times slower than real time it is to be; it takes and gives each byte by itself, and so 20 us for one. */
+/* Survives a reset, not a power-off; an emulator writes here what a random number generator would have given. */
 static volatile struct {
-    uint32_t seed, slowness, restarts;
+    uint32_t seed, restarts;
 } kept __attribute__((section(".noinit")));
 
 /* All or nothing. Without DMA: the interrupt is pended by hand once, then comes whenever a byte can be taken. */
@@ -98,6 +98,10 @@ static void board_on_conversion_byte(uint8_t byte)
         return;
     }
     conversion_count = 0;
+    if (board_is_emulated) {
+        due = true;
+        SCB_ICSR = 1u << 28; /* PendSV */
+    }
     if (board_sum(conversion, BOARD_FRAME - 1) == conversion[BOARD_FRAME - 1]) {
         for (int i = 0; i < 5; i++) {
             counts[i] = (uint16_t)(conversion[2 + 2 * i] | conversion[3 + 2 * i] << 8);
@@ -111,13 +115,17 @@ static void board_on_usart2(void)
     board_serve(&to_converters, USART2, board_on_conversion_byte);
 }
 
+/* An emulated core has the end of a conversion for its clock: its host may be late, but no sample is. */
 static void board_on_systick(void)
 {
-    unfed = unfed + 1;
+    if (!board_is_emulated) {
+        due = true;
+        SCB_ICSR = 1u << 28;
+    }
+    unfed = due ? unfed + 1 : 0;
     if (unfed > BOARD_WATCHDOG) {
         board_restart();
     }
-    SCB_ICSR = 1u << 28; /* PendSV */
 }
 
 uint32_t board_count_power_ons(void)
@@ -136,7 +144,7 @@ uint32_t board_count_power_ons(void)
 void board_read(hydro_real raw[5])
 {
     static const int value[5] = {0, 2, 4, 5, 6};
-    uint32_t now = conversions, most = board_is_emulated ? BOARD_LOST_THERE : BOARD_LOST;
+    uint32_t now = conversions;
     lost = now == conversions_read ? lost + 1 : 0;
     conversions_read = now;
     for (int i = 0; i < 5; i++) {
@@ -148,7 +156,7 @@ void board_read(hydro_real raw[5])
         }
         raw[i] = HYDRO_R(0.5) * (low + high)
                  + HYDRO_R(1.25) * (high - low) * (((hydro_real)count - HYDRO_R(32767.5)) / HYDRO_R(65535));
-        if (lost >= most || (i < 4 && equal[i] >= BOARD_STUCK)) { /* an encoder at rest is still */
+        if (lost >= BOARD_LOST || (i < 4 && equal[i] >= BOARD_STUCK)) { /* an encoder at rest is still */
             raw[i] = __builtin_nanf("");
         }
     }
@@ -158,7 +166,8 @@ void board_hold_current(hydro_real ampere)
 {
     hydro_real most = HYDRO_BOX_CONFIG.bench.valve_current_max;
     int32_t count = (int32_t)(HYDRO_R(32767) * (ampere / most) + (ampere < 0 ? HYDRO_R(-0.5) : HYDRO_R(0.5))) + 32768;
-    uint8_t out[5] = {0x5A, (uint8_t)currents++, (uint8_t)count, (uint8_t)(count >> 8), 0};
+    uint8_t out[5] = {0x5A, (uint8_t)currents, (uint8_t)count, (uint8_t)(count >> 8), 0};
+    currents = currents % 255 + 1;
     out[4] = board_sum(out, 4);
     (void)board_put(&to_converters, USART2, IRQ_USART2, out, sizeof out);
 }
@@ -176,6 +185,7 @@ void board_feed_watchdog(void)
     while (armed >= 1000) {
     }
 #endif
+    due = false;
     unfed = 0;
     IWDG_KR = 0xAAAAu;
 }
@@ -200,7 +210,7 @@ void board_begin(void)
     IWDG_PR = 0; /* 32 kHz / 4; the oscillator may be from 17 to 47 kHz: 7 to 19 ms */
     IWDG_RLR = 80;
     IWDG_KR = 0xCCCCu;
-    SYST_RVR = BOARD_CLOCK / 1000 * (board_is_emulated && kept.slowness > 1 && kept.slowness < 99 ? kept.slowness : 1) - 1;
+    SYST_RVR = BOARD_CLOCK / 1000 - 1;
     SYST_CVR = 0;
     SYST_CSR = 7;
 }

@@ -9,29 +9,35 @@ Frames on the second line of `firmware/boards/stm32f405`, counts little-endian, 
 ===== ========================================== ===============================================================
 
 The plant's time is the core's: each current is held for one sample. A core that is silent for `SILENCE_MAX` is off: the
-plant goes on by itself, at 0 A.
+plant goes on by itself, at 0 A. An emulated core begins a sample at the end of a conversion: `Adapter` gives it the
+clock, real time or that of a host which answers each sample.
 """
 
 from __future__ import annotations
 
 import argparse
 import contextlib
+import fcntl
 import os
 import random
 import select
 import struct
 import sys
+import termios
 import time
+from array import array
 from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from hydro_bridge.serial.port import Port, PortLostError
+from hydro_bridge.serial.protocol import FrameType, encode_clock
 from hydro_core.cli.console import bounded_number
 from hydro_core.settings import SettingsError
 from hydro_core.signals import SAMPLE_PERIOD, FloatArray
 from hydro_sim.box.box import BoxConfig
+from hydro_sim.emulator.line.host import HostState, observe
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.realtime import ControlPipe
 from hydro_sim.emulator.truth.plant import TruthPlant
@@ -39,12 +45,15 @@ from hydro_sim.model.bench import Bench
 from hydro_sim.model.equations import READINGS
 
 FAULTS = ("stuck", "beyond", "lost")
-"""What a converter can do: stand still, stand at the end of its range, answer nothing (all five: one bus)."""
-SILENCE_MAX = 0.1
+"""What a converter can do: stand still, stand at the end of its range, send a frame with a wrong sum (all: one bus)."""
+SILENCE_MAX = 0.5
 """s of wall clock without a current after which the core counts as switched off."""
 _PLACES = [0, 2, 4, 5, 6]  # of the readings in a measurement
 _SPAN = 1.25  # of a converter, in ranges of its reading
 _CONTROL_POLL = 20  # conversions between polls of the control pipe
+_MOMENT = 0.05  # s of wall clock
+_ANSWER_TIME_MAX, _ANSWER_TIME_MOST = 0.02, 90.0
+"""s of wall clock that a host's answer is awaited, on a line that loses some, and on one that loses none."""
 _GATHERING = 2e-4  # s for which bytes gather, which an emulated core gives one by one
 _ZERO = 32768  # count of 0 A
 
@@ -67,6 +76,8 @@ class Converters:
         self.middle, self.step = 0.5 * (low + high), _SPAN * (high - low) / 65535.0
         self.faults: dict[str, str] = {}
         self.conversions, self.alone = 0, 0  # statistics: samples of the core, and without it
+        self.begins = False
+        """Whether the last current was the first one behind a reset."""
         self._rest, self._counts = b"", np.zeros(5, np.uint16)
 
     def exchange(self, data: bytes) -> bytes:
@@ -80,8 +91,11 @@ class Converters:
             _, number, count = struct.unpack("<BBH", frame[:4])
             measured = self.plant.step((count - _ZERO) / 32767.0 * self.current_max)
             self.conversions += 1
-            if "lost" not in self.faults.values():
-                answers += checked(struct.pack("<BB5H", 0xA5, number, *self.convert(measured)))
+            self.begins = number == 0
+            answer = checked(struct.pack("<BB5H", 0xA5, number, *self.convert(measured)))
+            if "lost" in self.faults.values():
+                answer = answer[:-1] + bytes((answer[-1] ^ 0xFF,))
+            answers += answer
         self._rest = data if at < 0 else data[at:]
         return answers
 
@@ -115,21 +129,21 @@ class Converters:
         self, port: Port | Pipes, adapter: Adapter | None, control: ControlPipe | None, seconds: float | None,
         stopped: Callable[[], bool],
     ) -> None:  # fmt: skip
-        """Serve the core's port, and its line, until stopped or for so many s of its time; a serial port may be lost."""
-        last = time.monotonic()
+        """Serve the core's port, and its line, until stopped or for so many s of its time; a port may be lost."""
+        last, owed = time.monotonic(), b""
         while not stopped() and (seconds is None or self.conversions * SAMPLE_PERIOD < seconds):
             before = self.conversions
             try:
                 if adapter is not None:
-                    adapter.carry(port)
-                if answers := self.exchange(port.read(0.0 if adapter else SILENCE_MAX)):
-                    port.write(answers)
+                    adapter.carry(port, owing=bool(owed))
+                owed += self.exchange(port.read(0.0 if adapter else SILENCE_MAX))
+                if owed and (adapter is None or adapter.lets_go(self.begins)):
+                    port.write(owed)
+                    owed, last = b"", time.monotonic()
             except PortLostError:
                 self._reopen(port)
             now = time.monotonic()
-            if self.conversions > before:
-                last = now
-            elif self.conversions and now - last > SILENCE_MAX:  # before its first current the core was never on
+            if self.conversions and not owed and now - last > SILENCE_MAX:  # until its first current it was never on
                 for _ in range(round((now - last) / SAMPLE_PERIOD)):
                     self.plant.step(0.0)
                     self.alone += 1
@@ -184,6 +198,10 @@ class Pipes:
             return os.write(self._ends[1], data) == len(data)
         return False
 
+    def unread(self) -> int:
+        """Bytes that the core has not read yet."""
+        return int(array("i", fcntl.ioctl(self._ends[1], termios.FIONREAD, bytes(4)))[0])
+
     def close(self) -> None:
         """Close both."""
         for end in self._ends:
@@ -191,25 +209,52 @@ class Pipes:
 
 
 class Adapter:
-    """The line of an emulated core as a port for its host: what a USB adapter is to a board.
+    """The line of an emulated core as a port for its host, what a USB adapter is to a board, and the core's clock.
 
-    `line`: the core's end. `terminal`: the host's. `seed`: of the bytes that are lost.
+    `line`: the core's end. `terminal`: the host's. `pace`: times real time; None: at the answers of a host
+    that answers each sample, else 1. `seed`: of the bytes that are lost.
     """
 
-    def __init__(self, line: Pipes, terminal: Terminal, seed: int = 0) -> None:
-        self.line, self.terminal, self._random = line, terminal, random.Random(seed)
+    def __init__(self, line: Pipes, terminal: Terminal, pace: float | None, seed: int = 0) -> None:
+        self.line, self.terminal, self.pace, self._random = line, terminal, pace, random.Random(seed)
         self.loss = 0.0
         """Chance that a byte is lost, each way; the order `loss 0.01` sets it."""
+        self.host, self._up, self._went = HostState(), b"", time.monotonic()
+        self._state_us: int | None = None  # time of the sample of now; None: its STATE has not come
 
-    def carry(self, other: Pipes | Port) -> None:
+    def carry(self, other: Pipes | Port, owing: bool) -> None:
         """Carry what has come, once there are bytes, here or at `other`, or a moment has passed."""
-        self.terminal.wait(0.5 * SILENCE_MAX, self.line, other)
+        left = self._went + SAMPLE_PERIOD / (self.pace or 1.0) - time.monotonic()
+        self.terminal.wait(max(min(left, _MOMENT), 0.0) if owing and left > 0.0 else _MOMENT, self.line, other)
         time.sleep(_GATHERING)
-        up, down = self.line.read(0.0), self.terminal.read()
-        if self.terminal.opened:
+        *frames, self._up = (self._up + self.line.read(0.0)).split(b"\0")
+        up, down = b"".join(frame + b"\0" for frame in frames), self.terminal.read()
+        for frame in filter(None, frames):
+            if (found := observe(frame)) and found[0] == FrameType.STATE:
+                self._state_us = found[1]
+        if not self.terminal.opened:
+            self.host.reset()
+        elif up:
+            if self.host.fresh and self.pace is None and self._state_us is not None:
+                up = encode_clock(self._state_us, waits=True) + up
             self.terminal.write(self._worn(up))
-        if down:
-            self.line.write(self._worn(down))
+        if down := self._worn(down):
+            self.host.observe(down)
+            self.line.write(down)
+
+    def lets_go(self, begins: bool) -> bool:
+        """Whether the core's next sample is due; `begins`: there was none since its reset."""
+        waited = time.monotonic() - self._went
+        answers = self.pace is None and self.host.lock_step and not self.host.fresh
+        if begins or waited > (_ANSWER_TIME_MAX if self.loss else _ANSWER_TIME_MOST):
+            due = True
+        elif answers:
+            due = self._state_us is not None and self.host.time_us == self._state_us and not self.line.unread()
+        else:
+            due = self._state_us is not None and waited >= SAMPLE_PERIOD / (self.pace or 1.0)
+        if due:
+            self._went, self._state_us = time.monotonic(), None
+        return due
 
     def _worn(self, data: bytes) -> bytes:
         return bytes(byte for byte in data if self._random.random() >= self.loss) if self.loss else data
