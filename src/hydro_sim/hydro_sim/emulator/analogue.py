@@ -135,7 +135,7 @@ class Converters:
             before = self.conversions
             try:
                 if adapter is not None:
-                    adapter.carry(port, owing=bool(owed))
+                    adapter.carry(owing=bool(owed))
                 owed += self.exchange(port.read(0.0 if adapter else SILENCE_MAX))
                 if owed and (adapter is None or adapter.lets_go(self.begins)):
                     port.write(owed)
@@ -211,21 +211,24 @@ class Pipes:
 class Adapter:
     """The line of an emulated core as a port for its host, what a USB adapter is to a board, and the core's clock.
 
-    `line`: the core's end. `terminal`: the host's. `pace`: times real time; None: at the answers of a host
-    that answers each sample, else 1. `seed`: of the bytes that are lost.
+    `line`, `converters`: the core's two ports. `terminal`: the host's. `pace`: times real time; None: at the answers of
+    a host that answers each sample, else 1. `seed`: of the bytes that are lost.
     """
 
-    def __init__(self, line: Pipes, terminal: Terminal, pace: float | None, seed: int = 0) -> None:
-        self.line, self.terminal, self.pace, self._random = line, terminal, pace, random.Random(seed)
+    def __init__(self, line: Pipes, converters: Pipes, terminal: Terminal, pace: float | None, seed: int = 0) -> None:
+        self.line, self.converters, self.terminal, self.pace = line, converters, terminal, pace
+        self._random = random.Random(seed)
         self.loss = 0.0
         """Chance that a byte is lost, each way; the order `loss 0.01` sets it."""
         self.host, self._up, self._went = HostState(), b"", time.monotonic()
         self._state_us: int | None = None  # time of the sample of now; None: its STATE has not come
 
-    def carry(self, other: Pipes | Port, owing: bool) -> None:
-        """Carry what has come, once there are bytes, here or at `other`, or a moment has passed."""
+    def carry(self, *, owing: bool) -> None:
+        """Carry what has come, once there are bytes, or a moment has passed; `owing`: an answer to it."""
         left = self._went + SAMPLE_PERIOD / (self.pace or 1.0) - time.monotonic()
-        self.terminal.wait(max(min(left, _MOMENT), 0.0) if owing and left > 0.0 else _MOMENT, self.line, other)
+        if owing and self.line.unread():
+            left = _GATHERING  # nothing tells that the core has read
+        self.terminal.wait(min(left, _MOMENT) if owing and left > 0.0 else _MOMENT, self.line, self.converters)
         time.sleep(_GATHERING)
         *frames, self._up = (self._up + self.line.read(0.0)).split(b"\0")
         up, down = b"".join(frame + b"\0" for frame in frames), self.terminal.read()

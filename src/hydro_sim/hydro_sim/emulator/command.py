@@ -107,7 +107,8 @@ def _convert(options: argparse.Namespace) -> None:
             terminal = Terminal(options.link or default_link())
             stack.callback(terminal.unplug)
             line = stack.enter_context(closing(Pipes(place.with_name("line"))))
-            port, adapter = Pipes(place), Adapter(line, terminal, parse_pace(options.pace), options.seed)
+            port = pipes = Pipes(place)
+            adapter = Adapter(line, pipes, terminal, parse_pace(options.pace), options.seed)
         stack.enter_context(closing(port))
         told = f", port {adapter.terminal.path}" if adapter else ""
         print(f"converters on {options.analogue}{told}, {request_realtime()}", flush=True)

@@ -72,7 +72,8 @@ class Terminal:
     def wait(self, seconds: float, *others: HasFileno) -> None:
         """Wait until bytes have arrived, here or at one of `others`, for at most `seconds`."""
         if self._master is not None and self.opened:
-            select.select([self._master, *others], [], [], seconds)
+            ends: list[int | HasFileno] = [self._master, *others]
+            select.select(ends, [], [], seconds)
         elif others:
             select.select(others, [], [], seconds)
         else:
