@@ -251,10 +251,10 @@ class Adapter:
         answers = self.pace is None and self.host.lock_step and not self.host.fresh
         if begins or waited > (_ANSWER_TIME_MAX if self.loss else _ANSWER_TIME_MOST):
             due = True
-        elif answers:
-            due = self._state_us is not None and self.host.time_us == self._state_us and not self.line.unread()
+        elif self._state_us is None or self.line.unread():  # a byte that was sent before a sample is there before it
+            due = False
         else:
-            due = self._state_us is not None and waited >= SAMPLE_PERIOD / (self.pace or 1.0)
+            due = self.host.time_us == self._state_us if answers else waited >= SAMPLE_PERIOD / (self.pace or 1.0)
         if due:
             self._went, self._state_us = time.monotonic(), None
         return due
