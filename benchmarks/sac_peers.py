@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """Soft Actor-Critic against stable-baselines3, skrl and SBX: updates and environment steps per second, final return.
 
-All learn the same environment (one bench, the learned model) with the paper's sizes and values, one
-update a step, on one core of one process. Updates per second are timed in turns after that, many updates a call, which
-each library offers. Peers: `make bench-peers`. Returns over seeds, which go on where an earlier call ended:
+All learn the same environment (one bench, the learned model) with the paper's sizes and values, one update a step, on
+one core of one process. Updates per second are timed in turns after that, many updates a call, which each library
+offers. Seconds are of processor time: other work on the machine counts little. Peers: `make bench-peers`. Returns over
+seeds, which go on where an earlier call ended:
 
     make bench-peers ARGS="--returns-only --batch 256 --seeds 20 21 22 --json returns.json"
 """
@@ -59,7 +60,7 @@ def main() -> None:
     os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
     columns = {
         "batch": "transitions per update", "seed": "", "learner": "",
-        "updates_per_second": f"median of {ROUNDS} turns of {UPDATES} updates",
+        "updates_per_second": f"of processor time, median of {ROUNDS} turns of {UPDATES} updates",
         "ours_over_it": "our updates per second over its",
         "steps_per_second": f"environment steps per second of {asked.steps} steps, an update in each that learns",
         "final_return": RETURN,
@@ -97,17 +98,17 @@ def compare(table: Table, batch: int, steps: int, seed: int) -> None:
         learners[name].train(force_control(seed), STARTS + 20)  # compiles; counted by nobody
         learners[name].update(1)
         learners[name] = made[name]()
-        begin = time.perf_counter()
+        begin = time.process_time()
         learners[name].train(force_control(seed), steps)
-        rates[name] = steps / (time.perf_counter() - begin)
-    # medians over rounds in which the learners take turns: what else the machine does meets all alike
+        rates[name] = steps / (time.process_time() - begin)
+    # medians over rounds in which the learners take turns
     seconds: dict[str, list[float]] = {name: [] for name in learners}
     for turn in range(ROUNDS + 1):
         for name, learner in learners.items():
-            begin = time.perf_counter()
+            begin = time.process_time()
             learner.update(UPDATES)
             if turn:  # the first compiles for this number of updates
-                seconds[name].append(time.perf_counter() - begin)
+                seconds[name].append(time.process_time() - begin)
     timed = {name: UPDATES / float(np.median(values)) for name, values in seconds.items()}
     for name, learner in learners.items():
         table.add(
