@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train the policy in simulation: 160 episodes of 18 s on many benches at once, in a minute or two.
+"""Train the policy in simulation: 160 episodes of 18 s on many benches at once, in some three minutes.
 
 ros2 run hydro_policy pretrain --out runs/pretrained
 ros2 run hydro_policy pretrain --out runs/wide --configuration wide
