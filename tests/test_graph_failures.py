@@ -153,6 +153,8 @@ def test_recorder_killed_training_goes_on_the_user_is_told_and_the_recording_sta
     probe.spin(3.0)  # it writes to disk each second of the wall clock, in which the plant may take many samples
     os.kill(process.child("/recorder "), signal.SIGKILL)
     probe.wait(lambda: "recorder ended by itself (killed by SIGKILL)" in process.text)
+    probe.wait(lambda: probe.told["trainer"]["recording"] == "LOST: end the run, or let it go on unrecorded")
+    assert "UNRECORDED" in probe.told["trainer"]["message"]
     probe.forget()
     probe.wait(lambda: training.phase() == TrainingStatus.TRAINING and len(probe.heard[GAINS]) > 150, 60.0)
     assert np.median(np.diff([gains.step for _, gains in probe.heard[GAINS]])) == 1

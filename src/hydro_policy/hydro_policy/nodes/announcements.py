@@ -106,6 +106,7 @@ class CompanionWatch:
     refused: str = ""
     """Message of a companion that rejected its input, and will not return; empty: none."""
     lost: str = ""  # message about an essential companion that ended, and its consequence
+    recording: str = "not by this run"  # state of the recording, for the live page
 
     def poll(self) -> list[str]:
         """Return a sentence about each companion that has ended since the last call."""
@@ -116,6 +117,7 @@ class CompanionWatch:
             code, outcome = companion.process.returncode, "no samples come, and the box disarms itself"
             if companion.name == "recorder":
                 outcome = self.unrecorded
+                self.recording = "LOST: end the run, or let it go on unrecorded"
             status = f"killed by {signal.Signals(-code).name}" if code < 0 else f"exit status {code}"
             told.append(f"{companion.name} ended by itself ({status}): {outcome}")
             if code == 2:  # invalid input

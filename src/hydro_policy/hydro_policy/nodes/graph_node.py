@@ -199,6 +199,7 @@ class GraphNode(Node):
         self.companions = CompanionWatch(companions)
         for companion in companions:
             if recording is not None and companion.name == "recorder":
+                self.companions.recording = "runs"
                 self.requirements.append(RecorderMonitor(self, recording, companion).requirement)
 
     def wait_for_plant(self, *, law: bool = False) -> bool:

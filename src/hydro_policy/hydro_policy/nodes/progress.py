@@ -130,9 +130,11 @@ class TrainingProgress(TrialProgress):
         phase, done, monitor = self.phase(), plan.progress, session.monitor
         assert monitor is not None  # a training has one
         overridden = session.override.active
-        fine = phase not in (Phase.PAUSED, Phase.WAITING) and learner.alive and not overridden
+        unrecorded = node.companions.recording.startswith("LOST")
+        fine = phase not in (Phase.PAUSED, Phase.WAITING) and learner.alive and not overridden and not unrecorded
         values = {
             "episode": plan.explorer.current.episode,
+            "recording": node.companions.recording,
             "lost samples": session.clock.lost,
             "interruptions": done.interruptions,
             "rollbacks": done.rollbacks,
@@ -153,6 +155,7 @@ class TrainingProgress(TrialProgress):
         }
         message = f"{phase.name.lower()}, plant {session.supervisor.summary}"
         message += "" if learner.alive else ", learner down"
+        message += ", UNRECORDED" if unrecorded else ""
         message += f", OVERRIDDEN by hand: {session.override.description}" if overridden else ""
         return Status(level=Level.OK if fine else Level.WARN, message=message, values=values)
 

@@ -135,6 +135,7 @@ function words(told) {
     ["entropy coefficient", shown(training.entropy_coefficient ?? NaN)],
     ["updates", training.updates],
     ["learner", training.learner_alive ? "alive" : "DOWN", !training.learner_alive],
+    ["recording", trainer.recording ?? "-", trainer.recording?.startsWith("LOST")],
     ["examination", trainer.examination ?? "-"],
     ["rollbacks", trainer.rollbacks ?? "-"],
     ["gains by hand", trainer.override ?? "-", trainer.override && trainer.override !== "no"],
