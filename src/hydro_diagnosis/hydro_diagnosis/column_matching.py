@@ -57,7 +57,11 @@ _REFERENCE_PATTERN = re.compile(
     _FIELD_PATTERNS["reference_force"] + r"|\w*(ref|soll|target|desired|setpoint)", re.IGNORECASE
 )
 _VALVE_PATTERN = re.compile(r"valve|spool|ventil|schieber|servo", re.IGNORECASE)
-_EXCLUDED_PATTERN = re.compile(r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time", re.IGNORECASE)
+_EXCLUDED_PATTERN = re.compile(
+    r"friction|reib|temp|volt(age)?|flag|count(er)?|index|status|error|time|integr|"
+    r"(?<![a-z])(u_?[pid]|[pid]_?(part|term|anteil|gain)|k_?[pid]|term|anteil|gain)(?![a-z])",  # parts of a controller
+    re.IGNORECASE,
+)
 
 
 def propose_sources(found: Columns, bench: Bench) -> ColumnMap:

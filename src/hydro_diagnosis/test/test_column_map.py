@@ -105,6 +105,13 @@ def test_two_forces_are_told_apart_by_what_they_act_on(hydraulic: str, load: str
     assert (sources["hydraulic_force"].column, sources["load_force"].column) == (hydraulic, load)
 
 
+@pytest.mark.parametrize("name", ["I_term", "integrator", "u_i", "I-Anteil", "PI.I_part", "u_p"])
+def test_a_part_of_a_controller_is_no_valve_current(name: str) -> None:
+    time = 1e-3 * np.arange(1500)
+    series = {"t": time, "x [mm]": 40.0 + 20.0 * np.sin(6.0 * time), name: 5e-3 * np.sin(6.0 * time)}
+    assert set(propose_sources(Columns(series), BENCH).sources) == {"time", "piston_position"}
+
+
 def test_references_stay_references_beside_the_signals() -> None:
     """Names of a scope of a crane; its valve command is relative, from -1 to 1."""
     time = 1e-2 * np.arange(1500)
