@@ -414,6 +414,7 @@ ODD: dict[str, tuple[list[str], int, str]] = {
     "a quote that stays open": ([*ROWS[:201], ROWS[201].replace(",", ',"', 1), *ROWS[202:]], N - 1,
                                 "1 lines open a quote that nothing closes.*line 202"),
     "a huge cell": ([f"{row},{'y' * 140_000 if k == 9 else ''}" for k, row in enumerate(ROWS)], N, ""),
+    "a footer": ([*ROWS, "Max,900,52", "# end"], N, "2 lines hold words.*line 402 on: 'Max,900,52'"),
     "line breaks in names": (["# run 1", '"time\n[s]","load_force\n\n[N]","piston_position\n[mm]"', *ROWS[1:]], N, ""),
 }  # fmt: skip
 """Lines of a text, rows that are read, and the note."""
@@ -428,6 +429,26 @@ def test_every_line_of_a_text_is_read_or_counted_and_named(case: str, tmp_path: 
     assert len(rows) == count and re.search(said, "; ".join(found.notes))
     np.testing.assert_allclose(found.columns["load_force"], F[rows], atol=1e-5)
     np.testing.assert_allclose(found.columns["piston_position"], 1e-3 * X[rows], atol=1e-8)
+
+
+@pytest.mark.parametrize("cut", [1, 4, 8, 11, 20])
+@pytest.mark.parametrize("form", ["{:.6f}", "{!r}"])
+def test_a_number_that_the_end_of_the_file_cuts_is_not_believed(cut: int, form: str, tmp_path: Path) -> None:
+    """Numbers of equal length, and of any; a file that lacks nothing but its last line break is read whole."""
+    rows = lines(HEAD.replace(" [mm]", ""), T, BIG.round(3), 1e3 * X.round(7), form=form)
+    (tmp_path / "run.csv").write_text(rows[:-cut])
+    found = as_proposed(tmp_path / "run.csv")
+    kept = N if cut == 1 else N - 1
+    assert len(found.time) == kept and any("line 401" in note for note in found.notes) == (cut > 1)
+    np.testing.assert_allclose(found.columns["load_force"], BIG[:kept].round(3), atol=1e-6)
+
+
+def test_a_map_adds_a_multiple_of_another_column(tmp_path: Path) -> None:
+    (tmp_path / "run.csv").write_text(lines("time,F,p_b [bar]", T, F, X))
+    found = read_table(tmp_path / "run.csv", ColumnMap.load("time=time,load_force='p_b [bar]'*-49+F"))
+    np.testing.assert_allclose(found.columns["load_force"], F - 49.0 * X, atol=1e-3)
+    with pytest.raises(InputError, match="no single number named 'G'"):
+        read_table(tmp_path / "run.csv", ColumnMap.load("time=time,load_force=F+G"))
 
 
 LONG = 1e-3 * np.arange(6000)

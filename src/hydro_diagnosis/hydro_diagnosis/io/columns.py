@@ -149,13 +149,17 @@ def merge_parts(parts: Iterable[Columns]) -> Columns:
             above = {key: found.series[name] for key, name in names.items()}
             for key in dict.fromkeys((*names, *here)):
                 one, other = (
-                    some[key] if key in some else np.full(len(some.get(clocks.get(key, ""), next(iter(some.values())))), np.nan)
+                    some[key]
+                    if key in some
+                    else np.full(len(some.get(clocks.get(key, ""), next(iter(some.values())))), np.nan)
                     for some in (above, series)
                 )
                 if key in common:
                     other = _converted(other, part.unit(here[key]), found, names[key])
                 else:
-                    names.setdefault(key, found.add(here[key], one, part.units.get(here[key], "")) if key in here else "")
+                    names.setdefault(
+                        key, found.add(here[key], one, part.units.get(here[key], "")) if key in here else ""
+                    )
                     partial[names[key]] = None
                 found.series[names[key]] = np.concatenate([one, other])
             joined += 1

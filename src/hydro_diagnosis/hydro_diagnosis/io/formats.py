@@ -204,7 +204,9 @@ def collect(channels: Iterable[Channel], found: Columns) -> Columns:
         if array.dtype == object and array.ndim == 1:
             array, bad = numbers_of(pd.Series(array))
         if bad is not None:
-            found.broken[one.name] = f"{one.values[bad]!r} in row {bad + 1} of {one.name!r} is not a number as the others are"
+            found.broken[one.name] = (
+                f"{one.values[bad]!r} in row {bad + 1} of {one.name!r} is not a number as the others are"
+            )
         elif array.dtype.kind not in "fiub" or array.ndim > 2 or array.size == 0 or np.isnan(array).all():
             found.other.append(unique(one.name, found.series))
         elif array.size == 1:
@@ -312,7 +314,11 @@ def _hdf5_tree(file: h5py.File, item: Any, found: Columns, inherited: Mapping[st
     kind = _text(said.get("MATLAB_class", ""))
     if "MATLAB_object_decode" in said:
         return Channel("", MatlabOpaque(np.empty(0)), kind)
-    if not isinstance(item, h5py.Dataset) or not item.size or _text(said.get("NAME", "")).startswith("This is a netCDF d"):
+    if (
+        not isinstance(item, h5py.Dataset)
+        or not item.size
+        or _text(said.get("NAME", "")).startswith("This is a netCDF d")
+    ):
         return ""
     if not _is_stored(item):
         found.notes.append(f"{item.name!r} declares {item.size} numbers, of which the file holds none")
@@ -342,7 +348,9 @@ def _tree_columns(tree: Mapping[str, Any], found: Columns) -> Columns:
         with suppress(KeyError, TypeError):
             return _capture(only, found)
     channels = list(_leaves(tree, ""))
-    objects = [f"{one.name} ({one.unit})" if one.unit else one.name for one in channels if isinstance(one.values, _OBJECTS)]
+    objects = [
+        f"{one.name} ({one.unit})" if one.unit else one.name for one in channels if isinstance(one.values, _OBJECTS)
+    ]
     collect((one for one in channels if not isinstance(one.values, _OBJECTS)), found)
     if objects:
         called = ", ".join(objects)
@@ -359,7 +367,9 @@ def _leaves(value: Any, name: str) -> Iterator[Channel]:
     """Yield the leaves of structs and cells: `out.signals.0.values`, `log.data.pA [bar]`."""
     if isinstance(value, Mapping):
         parts = [(str(key), _by_texts(one, value)) for key, one in value.items()]
-    elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object and not isinstance(value, _OBJECTS)):
+    elif isinstance(value, list) or (
+        isinstance(value, np.ndarray) and value.dtype == object and not isinstance(value, _OBJECTS)
+    ):
         parts = [(str(k), one) for k, one in enumerate(value)]
     else:
         yield value._replace(name=name) if isinstance(value, Channel) else Channel(name, value)
@@ -371,7 +381,7 @@ def _leaves(value: Any, name: str) -> Iterator[Channel]:
 def _by_texts(value: Any, beside: Mapping[str, Any]) -> Any:
     """Columns of an array by name, if texts of its struct name them or their units (`colheaders`, `label`), else it."""
     leaf = value if isinstance(value, Channel) else Channel("", value)
-    if not isinstance(leaf.values, np.ndarray) or leaf.values.dtype.kind not in "fiub" or not 1 < leaf.values.size:
+    if not isinstance(leaf.values, np.ndarray) or leaf.values.dtype.kind not in "fiub" or not leaf.values.size > 1:
         return value
     columns = list(_split("", leaf.values).values()) if leaf.values.ndim <= 2 else []
     alike = {key.lower(): one for key, texts in beside.items() if len(one := _texts(texts)) == len(columns)}
@@ -398,7 +408,7 @@ def _capture(content: Mapping[str, Any], found: Columns) -> Columns:
     Raises KeyError or TypeError if it is none.
     """
     axes, signals = (
-        [(one, np.asarray(getattr(one["Data"], "values", one["Data"]), dtype=np.float64).reshape(-1)) for one in entries]
+        [(one, np.asarray(getattr(one["Data"], "values", one["Data"]), dtype=float).reshape(-1)) for one in entries]
         for entries in (np.atleast_1d(np.asarray(content[key], dtype=object)) for key in "XY")
     )  # fmt: skip
     channels = []

@@ -173,7 +173,11 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
         own, values = own[np.isfinite(own)], values[np.isfinite(own)]
         every = median_step(own)
         if field in MEASURED_CHANNELS and every > 1.2 * step:
-            splined = field == "piston_position" and clock.startswith(f"{base} of ") and every <= 1.2 * MAX_SPLINED_ROWS * step
+            splined = (
+                field == "piston_position"
+                and clock.startswith(f"{base} of ")
+                and every <= 1.2 * MAX_SPLINED_ROWS * step
+            )
             if not splined:
                 notes.append(
                     f"{field} is sampled {1.0 / every:.4g} times a second, the others {1.0 / step:.4g} "
@@ -203,7 +207,7 @@ def fields_of(found: Columns, chosen: ColumnMap) -> tuple[FloatArray, dict[str, 
 
 
 def _with_rasters(found: Columns, chosen: ColumnMap, notes: list[str]) -> Columns:
-    """Columns with those of mapped sensors at their own rows only, by clocks named `CLOCK of FIELD`, shared if equal."""
+    """Columns with those of mapped sensors at their own rows only, by clocks named `CLOCK of FIELD`."""
     series, clocks, units, there = dict(found.series), dict(found.clocks), dict(found.units), dict[bytes, str]()
     mapped = chosen.sources["time"].column if "time" in chosen.sources else ""
     for field, source in chosen.sources.items():

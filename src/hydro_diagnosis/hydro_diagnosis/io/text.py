@@ -50,7 +50,7 @@ _NUMBER = {sign: re.compile(f"(?:{_GROUPED[sign]}|{_PLAIN[sign]})", re.IGNORECAS
 """Numbers by decimal sign, with thousands or without."""
 _CLOCK = r"(?<!\d)(?:(\d{1,2}):)?(\d\d):(\d\d)(?:([.,:])(\d+))?(?!\d|:)(?:\s*([ap])\.?m\b)?"
 """Time of day in a cell, or minutes and seconds; parts of a second behind a point, a comma or a colon."""
-_WORDS = re.compile(r"[\s\"]*(?!nan\b|inf\b)[^\W\d_#%\[]|[\s\"]*[_#%\[]", re.IGNORECASE)
+_WORDS = re.compile(r"[\s\"]*(?:[-*=<>/!]*\s*(?!nan\b|inf\b)[^\W\d_#%\[]|[_#%\[])", re.IGNORECASE)
 """Beginning of a record of words."""
 _MAX_LINES = 40
 """Largest number of lines of one record."""
@@ -97,6 +97,7 @@ class _Header(NamedTuple):
     n_cells: int  # of a row, the lead and an empty last one among them
     names: tuple[str, ...]  # of the columns, each unique; those beyond the rows' cells are empty columns
     named: bool  # whether the file states the names
+    worded: bool  # whether the first row begins with a word
     units: tuple[str, ...]  # normalised by `units.stated`; empty if not stated
     start: float
     step: float  # s, sampling step if the header states one, else 0
@@ -212,7 +213,8 @@ def header_of(records: list[str], style: Style) -> _Header:
     for name in names:
         distinct[unique(name, distinct)] = None
     step = stated_step(_properties([row for row in rows[:first] if any(row)] if begin else above))
-    return _Header(first, begin, len(rows[first]), tuple(distinct), named, tuple(units), *step)
+    return _Header(first, begin, len(rows[first]), tuple(distinct), named, bool(_WORDS.match(records[first])),
+                   tuple(units), *step)  # fmt: skip
 
 
 def _header_rows(records: list[str], rows: list[list[str]], width: int, separator: str) -> list[list[str]]:
@@ -268,7 +270,9 @@ _Lines = list[tuple[int, str]]
 """Lines with their numbers, from 1."""
 
 
-def _records(path: Path, encoding: str, style: Style, left: dict[str, _Lines]) -> Iterator[tuple[Sequence[int], list[str]]]:
+def _records(
+    path: Path, encoding: str, style: Style, left: dict[str, _Lines]
+) -> Iterator[tuple[Sequence[int], list[str]]]:
     """Yield blocks of records, each with the line on which it begins; a last row that is cut is added to `left`."""
     at, rest, recent = 1, "", list[str]()
     with path.open(encoding=encoding, errors="replace") as file:
@@ -332,11 +336,16 @@ def _parts(path: Path, encoding: str, style: Style) -> tuple[list[_Part], list[s
             with suppress(pa.ArrowInvalid):
                 _add(part, lines, _numbers(records, part, style))
                 continue
-        for worded, run in groupby(zip(lines, records, strict=True), lambda one: _is_words(one[1], style)):
+        for worded, run in groupby(
+            zip(lines, records, strict=True), lambda one: _is_words(one[1], parts[-1].header, style)
+        ):
             if worded:
                 words += run
                 continue
-            some = list(run)
+            if not (some := [one for one in run if one[1].strip()]):
+                continue
+            doubtful = [one for one in words if style.row(style.cells(one[1]))]  # a footer, if no row followed
+            words, some = [one for one in words if one not in doubtful], [*doubtful, *some]
             below = _header_below(words, [record for _, record in some], parts[-1].header, style)
             if below is not None:
                 begin(below)
@@ -363,8 +372,8 @@ def _parts(path: Path, encoding: str, style: Style) -> tuple[list[_Part], list[s
     return parts, notes
 
 
-def _is_words(record: str, style: Style) -> bool:
-    return _WORDS.match(record) is not None and not style.row(style.cells(record))
+def _is_words(record: str, header: _Header, style: Style) -> bool:
+    return _WORDS.match(record) is not None and not (header.worded and style.row(style.cells(record)))
 
 
 def _header_below(words: _Lines, rows: list[str], above: _Header, style: Style) -> _Header | None:
@@ -453,7 +462,9 @@ def _columns(part: _Part, style: Style) -> Columns:
     for k, name in enumerate(part.header.names):
         blocks, part.columns[k] = part.columns[k], []
         if k not in part.texts or not blocks:
-            numbers.append(np.concatenate([block.to_numpy() for block in blocks]) if blocks else np.full(length, np.nan))
+            numbers.append(
+                np.concatenate([block.to_numpy() for block in blocks]) if blocks else np.full(length, np.nan)
+            )
             continue
         texts = [pc.replace_substring(block.cast(pa.string()), ".", style.decimal) if pa.types.is_floating(block.type)
                  else block for block in blocks]  # fmt: skip

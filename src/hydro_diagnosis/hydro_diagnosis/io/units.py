@@ -108,7 +108,8 @@ _UNIT_SUFFIX = re.compile(
     r"k?Hz|rpm|lpm|l|k?Nm)(?:_(?:per_)?(s2|s|min|mm2|m2|cm2))?$"
 )
 _AMBIGUOUS = {
-    "s": r"t|\w*time\w*|\w*zeit|\w*stamp|elapsed|clock", "A": r"i|i_?v\w*|\w*current|cur|\w*strom", "a": "", "b": "", "B": "",
+    "s": r"t|\w*time\w*|\w*zeit|\w*stamp|elapsed|clock", "A": r"i|i_?v\w*|\w*current|cur|\w*strom",
+    "a": "", "b": "", "B": "",
     "V": r"u|\w*volt\w*|cmd\w*|command|control|signal|spannung", "m": r"[xyzsq]|pos\w*|\w*weg|stroke", "l": r"vol\w*",
 }  # fmt: skip
 """Units that are more often a chamber or a port, with the words next to which they are units."""
