@@ -131,16 +131,17 @@ class Actors:
     """The policies of several agents, evaluated at once."""
 
     def __init__(self, agents: Sequence[Sac]) -> None:
-        self._agents, self._places = agents, agents[0].layers["actor"]
+        self._agents, self._shapes = agents, agents[0].layers["actor"]
         self._bounds = agents[0].settings.log_std_min, agents[0].settings.log_std_max
 
     def distribution(self, observations: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return (mu, log sigma), shape (agents, 2) each, of one observation each, shape (agents, 13)."""
-        flat = np.stack([sac.agent.actor.parameters for sac in self._agents])
+        flat = np.stack([agent.vectors["actor.parameters"] for agent in self._agents])
+        parts = np.split(flat, np.cumsum([math.prod(shape) for shape in self._shapes])[:-1], axis=1)
+        layers = [part.reshape(len(flat), *shape[1:]) for part, shape in zip(parts, self._shapes, strict=True)]
         hidden = observations[:, np.newaxis]
-        for k in range(3):
-            weights, biases = (flat[:, places[0]] for places in self._places[k])
-            hidden = hidden @ weights + biases[:, np.newaxis]
+        for k, (weights, biases) in enumerate(zip(layers[::2], layers[1::2], strict=True)):
+            hidden = hidden @ weights + biases
             hidden = np.maximum(hidden, 0.0) if k < 2 else hidden
         return hidden[:, 0, :2], np.clip(hidden[:, 0, 2:], *self._bounds)
 

@@ -187,11 +187,11 @@ def effects_page() -> str:
         for group in (truth.Effects, truth.UnnamedEffects)
         for name, field in group.__dataclass_fields__.items()
     }
-    lines = ["# Effects", "", GENERATED, ""]
-    lines += [
-        "What the diagnosis can name, and what the emulator's truth (`truth.yaml`) can conceal. Where one side is"
+    lines = [
+        *("# Effects", ""),
+        "What the diagnosis can name, and what the emulator's truth (`truth.yaml`) can conceal. Where one side is",
+        *("empty, it lacks the effect: the diagnosis can then only say that something is missing.", ""),
     ]
-    lines += ["empty, it lacks the effect: the diagnosis can then only say that something is missing.", ""]
     lines += ["| id | diagnosis: parameters | its options | emulator: keys | its forms |", "|---|---|---|---|---|"]
     for name in sorted({*causes, *emulated}):
         own = causes.get(name, [])

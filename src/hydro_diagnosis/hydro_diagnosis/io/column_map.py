@@ -84,7 +84,7 @@ class Source:
             if isinstance(by, str) and by not in constants and len(columns.get(by, ())) != len(values):
                 told = "column of its times" if by in columns else "single number"
                 raise InputError(f"there is no {told} named {by!r}{_instead(by, constants)}")
-            other = constants.get(by, columns.get(by)) if isinstance(by, str) else by
+            other = by if not isinstance(by, str) else constants[by] if by in constants else columns[by]
             if not (isinstance(by, float) and by == (sign in "*/")):  # not by 1, nor plus 0
                 values = _OPERATIONS[sign](values, other)
         return np.ascontiguousarray(values, dtype=np.float64)

@@ -244,7 +244,7 @@ def _scaled(found: Columns, name: str, raw: Any, said: Mapping[str, Any]) -> Flo
     low, high = numbers.get("valid_range", [np.nan, np.nan])[:2]
     bad = (values < numbers.get("valid_min", [low])[0]) | (values > numbers.get("valid_max", [high])[0])
     bad |= np.isin(values, np.concatenate([numbers.get(key, np.empty(0)) for key in _FILL_KEYS]))
-    scale, offset = (numbers.pop(key, np.array([one])) for key, one in (("scale_factor", 1.0), ("add_offset", 0.0)))
+    scale, offset = (numbers.pop(key, np.full(1, one)) for key, one in (("scale_factor", 1.0), ("add_offset", 0.0)))
     if len(scale) == len(offset) == 1 and (scale[0], offset[0]) != (1.0, 0.0):
         values = values * scale[0] + offset[0]
         found.notes.append(f"{name!r} was scaled as the file states: * {scale[0]:g} + {offset[0]:g}")
@@ -417,8 +417,8 @@ def _capture(content: Mapping[str, Any], found: Columns) -> Columns:
         axis, times = axes[index if 0 <= index < len(axes) else 0]
         if len(values) != len(times):
             raise ValueError("a signal and its axis have different lengths")
-        times = times * to_si(known(str(axis.get("Unit", ""))))
-        channels.append(Channel(str(signal["Name"]), values, str(signal.get("Unit", "")), times))
+        seconds = times * to_si(known(str(axis.get("Unit", ""))))
+        channels.append(Channel(str(signal["Name"]), values, str(signal.get("Unit", "")), seconds))
     collect(channels, found)
     if len(axes) <= 1:
         found.clocks.clear()

@@ -270,9 +270,7 @@ _Lines = list[tuple[int, str]]
 """Lines with their numbers, from 1."""
 
 
-def _records(
-    path: Path, encoding: str, style: Style, left: dict[str, _Lines]
-) -> Iterator[tuple[Sequence[int], list[str]]]:
+def _records(path: Path, encoding: str, style: Style, left: dict[str, _Lines]) -> Iterator[tuple[list[int], list[str]]]:
     """Yield blocks of records, each with the line on which it begins; a last row that is cut is added to `left`."""
     at, rest, recent = 1, "", list[str]()
     with path.open(encoding=encoding, errors="replace") as file:
@@ -284,7 +282,7 @@ def _records(
             if not text and lines[0] and _is_cut(lines[0], recent, style):  # alone, for no line break ends it
                 left[_CUT] = [(at, lines[0])]
                 return
-            numbers, records = range(at, at + len(lines)), lines
+            numbers, records = list(range(at, at + len(lines))), lines
             at += len(lines)
             if style.separator != _BLANKS and any(line.count('"') % 2 for line in lines):
                 numbers, records, is_open = [], [], False

@@ -206,9 +206,9 @@ def run_learner(settings: TrainingSettings, run: RunDirectory, pipe: Connection,
             with suppress(OSError):
                 learner.handle("save", last)
     except Exception as error:
-        disk = isinstance(error, OSError)
+        reason = (isinstance(error, OSError) and error.strerror) or str(error) or type(error).__name__
         with suppress(OSError):
-            pipe.send(LearnerFault((error.strerror if disk else "") or str(error) or type(error).__name__, disk))
+            pipe.send(LearnerFault(reason, isinstance(error, OSError)))
         if isinstance(error, FloatingPointError | ValueError | OSError):  # the sentence is sufficient
             raise SystemExit(1) from None
         raise

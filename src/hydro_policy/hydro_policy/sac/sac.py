@@ -200,11 +200,12 @@ def flat_update(observations: int, actions: int, hidden: int) -> Callable[[Seque
 
     def call(tensors: Sequence[Tensor]) -> Tensor:
         steps = tensors[count + 1 : count + 4]
-        optimizers = [Optimizer(*tensors[3 * k : 3 * k + 3], steps[k]) for k in range(len(OPTIMIZED))]
+        groups = zip(tensors[0:count:3], tensors[1:count:3], tensors[2:count:3], steps, strict=True)
+        actor, critics, entropy = (Optimizer(*group) for group in groups)
         batch, noise, *constants = tensors[count + 4 :]
         c = Constants(observations, actions, hidden, *constants)
         with torch.enable_grad():
-            return update(optimizers[0], optimizers[1], optimizers[2], tensors[count], batch, noise, c)
+            return update(actor, critics, entropy, tensors[count], batch, noise, c)
 
     return call
 
