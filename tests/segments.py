@@ -75,8 +75,12 @@ def segment(states: StateArray, name: str = "run") -> Segment:
 
 
 def driven(bench: Bench, amplitude: float = 280.0) -> tuple[Segment, FloatArray]:
-    """A closed-loop run without noise as a recording, and its physical states, shape (n, 6)."""
-    run = record(bench, seconds=1.2, waveform=Waveform.SINE, amplitude=amplitude, noise=0.0, frequency=0.9)
+    """A closed-loop run without noise as a recording, and its physical states, shape (n, 6).
+
+    The box believes the bench's true parameters, so that the paper's law is stable.
+    """
+    believed = bench.without_effects()
+    run = record(bench, 1, 1.2, Waveform.SINE, amplitude, noise=0.0, believed=believed, frequency=0.9)
     current = run["valve_current"].copy()
     plant = AnalyticPlant(bench, noise=0.0)
     shown, states = [plant.measurement()], [plant.state["y"][0, :TEXTBOOK_STATE_COUNT].copy()]

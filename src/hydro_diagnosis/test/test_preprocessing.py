@@ -53,13 +53,13 @@ def without_numbers(data: pd.DataFrame) -> pd.DataFrame:
     return data
 
 
-FROZEN, TO_THE_END = "piston_position is frozen in 3001 samples", "piston_position is frozen in 3002 samples"
+FROZEN, TO_THE_END = "piston_position is frozen in 3001 samples", "piston_position is frozen in 3000 samples"
 DAMAGED: tuple[tuple[str, int, Change], ...] = (
     ("2 missing samples were bridged", 1, lambda data: data.drop(index=[3000, 3001])),
     ("200 samples are missing, the first after 4.999 s", 2, lambda data: data.drop(index=range(5000, 5200))),
     ("pressure_a has no number in 401 samples, the first at 4.", 2, without_numbers),
     ("pressure_b is frozen throughout", 1, lambda data: data.assign(pressure_b=5e6)),
-    # a frozen encoder: its position comes back; to the end (it stood for two rows more) the force or the speed goes on
+    # a frozen encoder: its position comes back, or the force or the speed goes on to the end
     (FROZEN, 2, stands),
     (FROZEN, 2, lambda data: stands(data).drop(columns=["load_force", "piston_velocity"])),
     (TO_THE_END, 1, lambda data: stands(data, 9000, len(data)).drop(columns=["piston_velocity"])),

@@ -77,13 +77,13 @@ def test_a_hard_dead_band_is_no_soft_one_and_a_lag_of_second_order_no_dead_time(
 
 def test_four_edges_that_move_alike_are_one_offset_and_one_gain() -> None:
     """The spool at u + u_0 opens two edges earlier and two later."""
-    problem = problem_with({"valve_gain": (1.1,), "valve_offset": (2e-4,)})
-    sides = {"pa": -2e-4, "at": 2e-4, "pb": 2e-4, "bt": -2e-4}
-    single = fit(problem, [claim(f"valve_edge:{edge}", overlap, 1.1) for edge, overlap in sides.items()])
+    problem = problem_with({"valve_gain": (0.95,), "valve_offset": (-2e-4,)})
+    sides = {"pa": 2e-4, "at": -2e-4, "pb": -2e-4, "bt": 2e-4}
+    single = fit(problem, [claim(f"valve_edge:{edge}", overlap, 0.95) for edge, overlap in sides.items()])
     assert not problem.has_excess(single.residual)
     outcome = Search(problem, ADAPTED)._common_to_edges(SearchOutcome(problem, single, fit(problem, ())))
     found = {one.effect.label: [*one.values.values()] for one in outcome.fit.claims}
-    assert found == {"valve_gain": pytest.approx([1.1], rel=1e-3), "valve_offset": pytest.approx([2e-4], rel=0.01)}
+    assert found == {"valve_gain": pytest.approx([0.95], rel=1e-3), "valve_offset": pytest.approx([-2e-4], rel=0.01)}
 
 
 @pytest.mark.parametrize("half_width", [4e-4, 1.5e-3])

@@ -56,7 +56,7 @@ CASES: list[tuple[str, dict[str, Any], dict[str, Any]]] = [
     ("oil_drift", {"rate": -0.05}, {}),
     ("entrained_air", {"volume_fraction": 0.02}, {}),
     ("load_cell_gain", {"ratio": 1.1}, {"cell": "load_force"}),
-    ("sensor_lag", {"bandwidth": 15.0, "damping": 0.7}, {"sensor": "load_force"}),
+    ("sensor_lag", {"bandwidth": 20.0, "damping": 0.7}, {"sensor": "load_force"}),
     ("spring_hardening", {"coefficient": 2e7}, {}),
     ("backlash", {"width": 1e-3}, {"form": "play"}),
 ]
