@@ -86,6 +86,7 @@ def _diagnosis() -> None:
     path, record = np.zeros(10), memory.Memory(1e-3)
     record.bristle(path, 2e5, np.ones(10))
     record.play(path, 0.1)
+    record.volume_pressure((path, path, path, path), 1e-13)
     dynamics.overlap_output(np.zeros((10, 4)), 1e-3, 1e-4)
     closure.evaluate_spline(path, 0.0, 1.0, np.zeros(KNOTS))
     rest = {name: np.full(200, 1e6 if name.startswith("pressure") else 0.0) for name in MEASURED_CHANNELS}
