@@ -217,6 +217,7 @@ class Adapter:
 
     def __init__(self, line: Pipes, converters: Pipes, terminal: Terminal, pace: float | None, seed: int = 0) -> None:
         self.line, self.converters, self.terminal, self.pace = line, converters, terminal, pace
+        self._ends = line.fileno(), converters.fileno()
         self._random = random.Random(seed)
         self.loss = 0.0
         """Chance that a byte is lost, each way; the order `loss 0.01` sets it."""
@@ -228,7 +229,7 @@ class Adapter:
         left = self._went + SAMPLE_PERIOD / (self.pace or 1.0) - time.monotonic()
         if owing and self.line.unread():
             left = _GATHERING  # nothing tells that the core has read
-        self.terminal.wait(min(left, _MOMENT) if owing and left > 0.0 else _MOMENT, self.line, self.converters)
+        self.terminal.wait(min(left, _MOMENT) if owing and left > 0.0 else _MOMENT, *self._ends)
         time.sleep(_GATHERING)
         *frames, self._up = (self._up + self.line.read(0.0)).split(b"\0")
         up, down = b"".join(frame + b"\0" for frame in frames), self.terminal.read()

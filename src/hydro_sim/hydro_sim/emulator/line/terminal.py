@@ -11,12 +11,8 @@ import tempfile
 import time
 import tty
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hydro_core.settings import SettingsError
-
-if TYPE_CHECKING:
-    from _typeshed import HasFileno  # what select() takes
 
 
 def default_link() -> Path:
@@ -69,11 +65,10 @@ class Terminal:
         except OSError as error:
             raise SettingsError(f"{self.path} cannot be made: {os.strerror(error.errno or 0).lower()}") from error
 
-    def wait(self, seconds: float, *others: HasFileno) -> None:
-        """Wait until bytes have arrived, here or at one of `others`, for at most `seconds`."""
+    def wait(self, seconds: float, *others: int) -> None:
+        """Wait until bytes have arrived, here or at one of the descriptors `others`, for at most `seconds`."""
         if self._master is not None and self.opened:
-            ends: list[int | HasFileno] = [self._master, *others]
-            select.select(ends, [], [], seconds)
+            select.select([self._master, *others], [], [], seconds)
         elif others:
             select.select(others, [], [], seconds)
         else:
