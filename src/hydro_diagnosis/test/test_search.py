@@ -75,6 +75,15 @@ def test_a_hard_dead_band_is_no_soft_one_and_a_lag_of_second_order_no_dead_time(
     assert found == {label: pytest.approx(sizes, rel=tolerance, abs=0.0) for label, sizes in causes.items()}
 
 
+PAIR = {"valve_offset": (2e-4,), "valve_gain": (0.9,)}
+
+
+def test_two_causes_that_explain_little_alone_are_found_as_a_pair() -> None:
+    """Alone the asymmetry of the gain, a leak and a lopsided dead band explain more than either."""
+    found = {one.effect.label: [*one.values.values()] for one in search(problem_with(PAIR)).fit.claims}
+    assert found == {label: pytest.approx(sizes, rel=1e-3) for label, sizes in PAIR.items()}
+
+
 def test_four_edges_that_move_alike_are_one_offset_and_one_gain() -> None:
     """The spool at u + u_0 opens two edges earlier and two later."""
     problem = problem_with({"valve_gain": (0.95,), "valve_offset": (-2e-4,)})

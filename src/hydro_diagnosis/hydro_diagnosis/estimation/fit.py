@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import product
+from itertools import combinations, product
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
@@ -76,6 +76,8 @@ def jacobian(problem: Problem, claims: Sequence[EffectHypothesis], residual: Flo
 
 FORM_ERROR_SHARE = 0.035
 """Form error of an effect as a share of its signature in the residual: another of its family must explain more."""
+MIN_APART = 1e-3
+"""Least squared sine between the signatures of two candidates that are tried as a pair."""
 MIN_COLUMN_LENGTH = 1e-100
 """Lower bound of the length of a column, or of its square, in divisions: small, but its square does not underflow."""
 
@@ -312,12 +314,7 @@ def rank_candidates(
     problem: Problem, found: Fit, library: Sequence[Effect], signatures: Signatures | None = None
 ) -> list[Candidate]:
     """Return the candidates that may be added to a fit, ranked by first-order gain; `signatures`: cache, extended."""
-    weight = problem.weight(found.residual)
-    basis = found.jacobian * weight[:, None]
-    if basis.shape[1]:
-        basis = np.linalg.qr(basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300))[0]
-    left = found.residual * weight
-    left = left - basis @ (basis.T @ left)
+    weight, basis, left = _unexplained(problem, found)
     known = {} if signatures is None else signatures
     candidates = []
     for effect in eligible_effects(library, found.claims, problem.blocks):
@@ -335,6 +332,40 @@ def rank_candidates(
     return sorted(candidates, key=lambda candidate: -candidate.gain)
 
 
+def rank_pairs(problem: Problem, found: Fit, candidates: Sequence[Candidate]) -> list[tuple[EffectHypothesis, ...]]:
+    """Return pairs of candidates at start values, ranked by their joint first-order gain.
+
+    Two may explain together what neither does alone, a valve's null and its gain say.
+    """
+    weight, basis, left = _unexplained(problem, found)
+    claims = [one.claim for one in candidates if one.gain > 0.0]
+    directions = np.empty((len(claims), len(left)), np.float32)
+    for k, claim in enumerate(claims):
+        direction = (problem.residual((*found.claims, claim)) - found.residual) * weight
+        directions[k] = direction - basis @ (basis.T @ direction)
+    lengths = np.maximum(np.linalg.norm(directions, axis=1), MIN_COLUMN_LENGTH)
+    cosine, force = directions @ directions.T / np.outer(lengths, lengths), -(directions @ left) / lengths
+    ranked = []
+    for one, other in combinations(range(len(claims)), 2):
+        apart = 1.0 - cosine[one, other] ** 2
+        if cause_key(claims[one].effect) == cause_key(claims[other].effect) or apart < MIN_APART:
+            continue
+        amounts = (force[[one, other]] - cosine[one, other] * force[[other, one]]) / apart
+        pair = (_scaled(claims[k], amount / lengths[k]) for k, amount in zip((one, other), amounts, strict=True))
+        ranked.append((float(amounts @ force[[one, other]]), tuple(pair)))
+    return [pair for _, pair in sorted(ranked, key=lambda each: -each[0])]
+
+
+def _unexplained(problem: Problem, found: Fit) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Weights, an orthonormal basis of a fit's weighted Jacobian, and the weighted residual orthogonal to it."""
+    weight = problem.weight(found.residual)
+    basis = found.jacobian * weight[:, None]
+    if basis.shape[1]:
+        basis = np.linalg.qr(basis / np.maximum(np.linalg.norm(basis, axis=0), 1e-300))[0]
+    left = found.residual * weight
+    return weight, basis, left - basis @ (basis.T @ left)
+
+
 def _start_values(
     problem: Problem, claim: EffectHypothesis, direction: FloatArray, weight: FloatArray, left: FloatArray
 ) -> Candidate:
@@ -347,10 +378,15 @@ def _start_values(
         amount = min(amount, 3.0)
     if amount <= 0.0 and main.neutral in (main.low, main.high):
         return Candidate(claim, 0.0)
+    reached = problem.deviance((left + amount * direction) / weight)
+    return Candidate(_scaled(claim, amount), problem.deviance(left / weight) - reached)
+
+
+def _scaled(claim: EffectHypothesis, amount: float) -> EffectHypothesis:
+    """Claim with `amount` times its amplitudes, 2 % of the range or more off bounds."""
     moved = dict(claim.values)
-    for one in effect.amplitudes:
+    for one in claim.effect.amplitudes:
         scaled = one.neutral + amount * (moved[one.name] - one.neutral)
         low, high = (end + 0.02 * (one.neutral - end) for end in (one.low, one.high))
         moved[one.name] = float(np.clip(scaled, low, high))
-    reached = problem.deviance((left + amount * direction) / weight)
-    return Candidate(EffectHypothesis(effect, moved), problem.deviance(left / weight) - reached)
+    return EffectHypothesis(claim.effect, moved)

@@ -25,6 +25,7 @@ from hydro_diagnosis.estimation.fit import (
     fit,
     pack,
     rank_candidates,
+    rank_pairs,
     remove_claim,
 )
 from hydro_diagnosis.estimation.intervals import all_significant
@@ -257,6 +258,8 @@ class Search:
             for _ in range(ITERATIONS):
                 if self._exhausted or not self._swap(outcome, REFIT_MARGIN):
                     break
+            if len(outcome.fit.cause_claims) == 2 and outcome.problem.has_excess(outcome.fit.residual):
+                self._swap_both(outcome)
             ranked = self._further(outcome)
         return outcome
 
@@ -336,6 +339,18 @@ class Search:
                 self._accept(outcome, better[0], "swap", f"{label} -> {better[0].claims[-1].effect.label}")
                 changed = True
         return changed
+
+    def _swap_both(self, outcome: SearchOutcome) -> None:
+        """Put the best pair of causes in place of the two claims if it is more likely.
+
+        Step by step a pair is passed over whose causes explain little alone: a valve's null and gain beside its leak.
+        """
+        problem, base = outcome.problem, outcome.baseline_fit
+        pairs = rank_pairs(problem, base, rank_candidates(problem, base, self.library))[:MAX_REFITS]
+        best = min((fit(problem, (*base.claims, *pair)) for pair in pairs), key=lambda one: one.score, default=base)
+        if best.score < outcome.fit.score - self.settings.threshold and all_significant(problem, best):
+            labels = (" + ".join(claim.effect.label for claim in one.cause_claims) for one in (outcome.fit, best))
+            self._accept(outcome, best, "swap", " -> ".join(labels))
 
     def _accept(self, outcome: SearchOutcome, found: Fit, action: str, label: str) -> None:
         outcome.problem, outcome.fit = self._weighed(found)
