@@ -1,22 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The box on the core of a microcontroller that QEMU emulates, with `emulator --analogue` as its converters."""
+"""The box on the core of a microcontroller that QEMU emulates, run by `emulate.py`."""
 
 from __future__ import annotations
 
 import json
-import os
-import secrets
 import shutil
 import socket
 import subprocess
-import time
+import sys
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import numpy as np
 
-from hydro_bridge.ros.companion import executable_path
 from hydro_sim.box.box import BoxConfig
 from hydro_sim.box.header import render_header
 from hydro_sim.model.bench import Bench
@@ -25,7 +22,7 @@ BOARD = Path(__file__).resolve().parent.parent / "firmware" / "boards" / "stm32f
 MISSING = [tool for tool in ("arm-none-eabi-gcc", "arm-none-eabi-nm", "qemu-system-arm") if shutil.which(tool) is None]
 PAINT = 0x57AC57AC
 SLOWNESS = 6
-"""Times slower than real time: two cores that others use, too, take and give a byte at a time."""
+"""Times slower than real time, about, on two cores: each byte is taken and given by itself."""
 
 
 def configure(folder: Path) -> None:
@@ -51,39 +48,12 @@ def address(program: Path, name: str) -> int:
 class Core:
     """A board that can be switched on and off; its line is the port `folder`/port, as long as this lives."""
 
-    def __init__(self, program: Path, folder: Path, slowness: int = SLOWNESS) -> None:
-        self.program, self.folder, self.slowness = program, folder, slowness
-        self.port, self._core = folder / "port", None
-        words = ["--analogue", folder / "analogue", "--link", self.port, "--control", folder / "control",
-                 "--pace", str(1.0 / slowness)]  # fmt: skip
-        self._converters = subprocess.Popen(
-            [executable_path("hydro_sim", "emulator"), *words], stdout=subprocess.PIPE, text=True
-        )
-        assert self._converters.stdout is not None
-        assert "converters on" in self._converters.stdout.readline()
-
-    def power_on(self) -> None:
-        """Switch the core on, with nothing on its lines from before."""
-        for name in ("line.in", "line.out", "analogue.in", "analogue.out"):
-            end = os.open(self.folder / name, os.O_RDWR | os.O_NONBLOCK)
-            with suppress(BlockingIOError):
-                while os.read(end, 65536):
-                    pass
-            os.close(end)
-        self._core = subprocess.Popen(
-            ["qemu-system-arm", "-M", "netduinoplus2", "-kernel", self.program, "-display", "none", "-monitor", "none",
-             "-serial", f"pipe:{self.folder / 'line'}", "-serial", f"pipe:{self.folder / 'analogue'}",
-             "-device", f"loader,addr={address(self.program, 'kept')},data={secrets.randbits(32)},data-len=4",
-             "-qmp", f"unix:{self.folder / 'qmp'},server=on,wait=off"],
-            stdout=subprocess.DEVNULL,
-        )  # fmt: skip
-
-    def power_off(self) -> None:
-        """Switch it off, in the middle of whatever it does."""
-        if self._core is not None:
-            self._core.kill()
-            self._core.wait()
-            self._core = None
+    def __init__(self, program: Path, folder: Path) -> None:
+        self.program, self.folder, self.port = program, folder, folder / "port"
+        words = [sys.executable, BOARD / "emulate.py", program, "--link", self.port]
+        self._process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
+        assert self._process.stdout is not None
+        assert "port" in self._process.stdout.readline()
 
     def stack(self) -> int:
         """Bytes of the stack that were ever used: the others still have their paint."""
@@ -103,24 +73,21 @@ class Core:
         return int(4 * (len(words) - np.argmax(words != PAINT)))
 
     def order(self, text: str) -> None:
-        """Give the converters an order."""
-        (self.folder / "control").write_text(text + "\n")
+        """Give an order: to the converters, to the line, or to switch on or off."""
+        (self.folder / "port.control").write_text(text + "\n")
 
     def close(self) -> str:
-        """Switch everything off; return what the converters say in the end."""
-        self.power_off()
-        self._converters.terminate()
-        told, _ = self._converters.communicate(timeout=20)
+        """Switch everything off; return what is said in the end."""
+        self._process.terminate()
+        told, _ = self._process.communicate(timeout=20)
         return told
 
 
 @contextmanager
-def core(program: Path, folder: Path, slowness: int = SLOWNESS) -> Iterator[Core]:
+def core(program: Path, folder: Path) -> Iterator[Core]:
     """A board that is on."""
-    made = Core(program, folder, slowness)
+    made = Core(program, folder)
     try:
-        made.power_on()
-        time.sleep(0.5)
         yield made
     finally:
         made.close()

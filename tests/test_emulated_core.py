@@ -25,15 +25,12 @@ from tests import emulated_core
 from tests.checks import ran
 from tests.emulated_core import Core
 
-pytestmark = [
-    pytest.mark.graph,
-    pytest.mark.skipif(
-        bool(emulated_core.MISSING),
-        reason=f"the box on an emulated core is not tried: {', '.join(emulated_core.MISSING)} is not here "
-        "(apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm)",
-    ),
-]
-IN_TIME = ("framing.garbage", "hello.answered", "idle.values", "order.old", "refused", "measured.units")
+pytestmark = pytest.mark.skipif(
+    bool(emulated_core.MISSING),
+    reason=f"the box on an emulated core is not tried: {', '.join(emulated_core.MISSING)} is not here "
+    "(apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm)",
+)
+IN_TIME = ("hello.answered", "idle.values", "order.old", "refused", "measured.units")
 """Cases that judge by samples alone, whatever else the machine does."""
 CREEP = 3e-3
 """m that the piston may go on by itself, of 15 that 300 N are: the oil relaxes while the valve is shut."""
@@ -129,7 +126,7 @@ def test_what_a_sample_costs_and_how_far_it_is_from_the_library(tmp_path: Path) 
     made = ran(executable_path("hydro_filter", "export_c"), "--out", tmp_path / "filter_config.h")
     assert made.returncode == 0, made.stderr
     done = subprocess.run(
-        [sys.executable, emulated_core.BOARD / "figures.py", tmp_path], capture_output=True, text=True, check=True
+        [sys.executable, "-m", "benchmarks.core_figures", tmp_path], capture_output=True, text=True, check=True
     )
     print(done.stdout)
     shares = {line.split(":")[0]: line for line in done.stdout.splitlines()}
@@ -153,14 +150,14 @@ def test_it_keeps_the_protocol(board: Core) -> None:
         port.open()
         rows = Run(lambda: Host(port, bench=numbers()), IN_TIME).start()
     assert [row for row in rows if row["result"] == FAIL] == []
-    assert sum(row["result"] == PASS for row in rows) >= 4, [row["case"] + " " + row["found"] for row in rows]
+    assert sum(row["result"] == PASS for row in rows) >= 3, [row["case"] + " " + row["found"] for row in rows]
 
 
 def test_a_power_cut_at_300_newton_ends_disarmed(board: Core, host: Host) -> None:
     last = drive(host)
-    board.power_off()
+    board.order("off")
     time.sleep(0.3)
-    board.power_on()
+    board.order("on")
     restarted(host, last)
 
 
@@ -177,7 +174,7 @@ def test_a_loop_that_hangs_is_restarted_and_comes_up_disarmed(tmp_path: Path) ->
 def test_a_host_that_goes_dark_finds_it_tripped(board: Core) -> None:
     with session(board) as host:
         last = drive(host)
-    time.sleep(0.3 * board.slowness)
+    time.sleep(0.5 * emulated_core.SLOWNESS)
     with session(board) as host:
         host.receive(50)
         assert all(state.flags & Flag.TRIPPED and state.flags & Flag.WATCHDOG for state in host.states)
@@ -192,7 +189,7 @@ def test_bytes_that_are_lost_are_told_and_too_many_trip(board: Core, host: Host)
     assert host.states[-1].flags & Flag.ARMED, "a command in ten is lost"
     assert host.decoder.counts.crc_errors + host.decoder.counts.malformed > 0
     board.order("loss 0.2")
-    time.sleep(0.5 * board.slowness)
+    time.sleep(0.5 * emulated_core.SLOWNESS)
     board.order("loss 0")
     until(host, lambda state: bool(state.flags & Flag.TRIPPED))
     rest(host, last)

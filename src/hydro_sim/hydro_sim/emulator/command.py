@@ -19,13 +19,12 @@ from hydro_core.settings import SettingsError
 from hydro_sim.box.box import BoxConfig, Integral
 from hydro_sim.box.firmware import Precision
 from hydro_sim.emulator import offline
-from hydro_sim.emulator.analogue import Adapter, Converters, Pipes
+from hydro_sim.emulator.analogue import make_converters, serve
 from hydro_sim.emulator.line.faults import PRESETS, load_faults
 from hydro_sim.emulator.line.link import BoxLink
 from hydro_sim.emulator.line.terminal import Terminal, default_link
 from hydro_sim.emulator.machine import Machine
 from hydro_sim.emulator.realtime import ControlPipe, RealtimeEmulator, request_realtime
-from hydro_sim.emulator.truth.plant import TruthPlant
 from hydro_sim.excitation import load_schedule
 from hydro_sim.files import load_force
 from hydro_sim.model.bench import Bench
@@ -93,26 +92,12 @@ def _record(options: argparse.Namespace) -> None:
 
 def _convert(options: argparse.Namespace) -> None:
     """Run plant and converters behind a core's port until it is stopped; print statistics at the end."""
-    bench, place = Bench.load(options.bench) if options.bench else Bench.nominal(), Path(options.analogue)
-    plant = TruthPlant(offline.load_truth_config(options.truth, bench), options.seed)
-    plant.step(0.0)  # compiles
-    plant.reset(options.seed)
-    converters = Converters(plant, bench, BoxConfig().of_bench(bench))
+    converters = make_converters(options.truth, options.bench, options.seed)
     with termination.signals_noted() as stop, ExitStack() as stack:
         control = stack.enter_context(closing(ControlPipe(options.control))) if options.control else None
-        adapter = None
-        if place.is_char_device():
-            port: Port | Pipes = Port(PortSettings(path=options.analogue))
-        else:
-            terminal = Terminal(options.link or default_link())
-            stack.callback(terminal.unplug)
-            line = stack.enter_context(closing(Pipes(place.with_name("line"))))
-            port = pipes = Pipes(place)
-            adapter = Adapter(line, pipes, terminal, parse_pace(options.pace), options.seed)
-        stack.enter_context(closing(port))
-        told = f", port {adapter.terminal.path}" if adapter else ""
-        print(f"converters on {options.analogue}{told}, {request_realtime()}", flush=True)
-        converters.run(port, adapter, control, options.seconds, lambda: bool(stop))
+        port = stack.enter_context(closing(Port(PortSettings(path=options.analogue))))
+        print(f"converters on {options.analogue}, {request_realtime()}", flush=True)
+        serve(converters, port, control, options.seconds, lambda: bool(stop))
     print(f"{converters.conversions} samples, {converters.alone} without the core", flush=True)
 
 

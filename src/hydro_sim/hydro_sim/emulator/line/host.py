@@ -41,24 +41,16 @@ class HostState:
         *pieces, self._pending = (self._pending + data).split(b"\0")
         self._pending = self._pending[-ENCODED_SIZE_MAX:]
         for piece in filter(None, pieces):
-            if (found := observe(piece)) is None:
+            try:
+                raw = cobs.decode(piece)
+            except cobs.DecodeError:
                 continue
-            kind, time_us, raw = found
+            if len(raw) < _HEADER.size + 4 or raw[-4:] != _CRC.pack(crc32(raw[:-4])):
+                continue
+            version, kind, _, time_us = _HEADER.unpack_from(raw)
             self.last_frame_time = time.monotonic()
-            if kind == FrameType.HELLO and raw[0] == HANDSHAKE_VERSION:
+            if kind == FrameType.HELLO and version == HANDSHAKE_VERSION:
                 self.hellos, self.fresh, self.time_us = self.hellos + 1, True, None
                 self.lock_step = raw[_LOCK_STEP_OFFSET : _LOCK_STEP_OFFSET + 1] == b"\1"
             elif kind == FrameType.COMMAND:
                 self.fresh, self.time_us = False, time_us
-
-
-def observe(piece: bytes) -> tuple[int, int, bytes] | None:
-    """Return type, time [us] and bytes of the frame between two delimiters; None: it is damaged."""
-    try:
-        raw = cobs.decode(piece)
-    except cobs.DecodeError:
-        return None
-    if len(raw) < _HEADER.size + 4 or raw[-4:] != _CRC.pack(crc32(raw[:-4])):
-        return None
-    _, kind, _, time_us = _HEADER.unpack_from(raw)
-    return kind, time_us, raw

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the box on an emulated STM32F405: `figures.py FOLDER`, which has box_config.h and filter_config.h.
+"""Figures of the box on an emulated STM32F405: `core_figures FOLDER`, which has box_config.h and filter_config.h.
 
 Instructions of a sample by QEMU's counter, the largest difference from the same program on this machine, bytes of flash
 and RAM, and the deepest stack that the compiler knows of.
@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-HERE = Path(__file__).resolve().parent
+BOARD = Path(__file__).resolve().parents[1] / "firmware" / "boards" / "stm32f405"
 BUDGET = 168_000
 """Cycles of a millisecond."""
 CYCLES = 1.7
@@ -27,7 +27,7 @@ STATES = ("current", "f_c", "M_c")
 def make(folder: Path, program: str) -> Path:
     """Build a program of the board."""
     words = [f"CONFIG={folder / 'box_config.h'}", f"OUT={folder}", f"{folder / program}.elf"]
-    subprocess.run(["make", "-s", "-B", "-C", HERE, *words], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(["make", "-s", "-B", "-C", BOARD, *words], check=True, stdout=subprocess.DEVNULL)
     return folder / f"{program}.elf"
 
 
@@ -46,10 +46,10 @@ def samples(*words: str | Path) -> Iterator[tuple[str, int, tuple[float, ...]]]:
 def measure(folder: Path) -> dict[str, dict[str, Any]]:
     """Mean and worst instructions by kind, and the largest differences from the library in single precision."""
     core = make(folder, "figures")
-    words = ["-std=c99", "-O2", "-ffp-contract=off", "-DHYDRO_SINGLE", "-DHYDRO_LIBRARY", f"-I{HERE.parents[1]}"]
+    words = ["-std=c99", "-O2", "-ffp-contract=off", "-DHYDRO_SINGLE", "-DHYDRO_LIBRARY", f"-I{BOARD.parents[1]}"]
     here = folder / "figures"
     subprocess.run(
-        [os.environ.get("CC", "gcc"), *words, f"-I{folder}", HERE / "figures.c", "-o", here, "-lm"], check=True
+        [os.environ.get("CC", "gcc"), *words, f"-I{folder}", BOARD / "figures.c", "-o", here, "-lm"], check=True
     )
     emulator = ["qemu-system-arm", "-M", "netduinoplus2", "-icount", "shift=3", "-display", "none", "-monitor", "none"]
     found: dict[str, dict[str, Any]] = {}

@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Run a box on a core that QEMU emulates: `emulate.py out/box.elf --link core/port`.
+
+Its two ports are named pipes beside the link. The second one leads to the converters of `emulator --analogue`, and the
+first to the link, as a USB adapter does. QEMU hands over each byte by itself and is not in real time, so the end of a
+conversion begins a sample: once the STATE of the one before has come, and not faster than --pace.
+"""
+
+from __future__ import annotations
+
+import argparse
+import fcntl
+import os
+import random
+import secrets
+import subprocess
+import termios
+import time
+from array import array
+from contextlib import closing, suppress
+from pathlib import Path
+
+from hydro_bridge.serial.protocol import State
+from hydro_bridge.serial.stream import Decoder
+from hydro_core.cli.console import bounded_number, command
+from hydro_core.process import termination
+from hydro_core.signals import SAMPLE_PERIOD
+from hydro_sim.emulator.analogue import Converters, make_converters, obey_all
+from hydro_sim.emulator.line.terminal import Terminal
+from hydro_sim.emulator.realtime import ControlPipe
+
+MOMENT = 0.05  # s of wall clock
+GATHERING = 2e-4  # s for which bytes gather, which QEMU gives one by one
+
+
+class Pipe:
+    """A port of the core: the named pipes `path`.in and `path`.out, which stay open while there is no core."""
+
+    def __init__(self, path: Path) -> None:
+        self.path, self._ends = path, []
+        for end in (path.with_suffix(".out"), path.with_suffix(".in")):
+            if not end.exists():
+                os.mkfifo(end, 0o600)
+            self._ends.append(os.open(end, os.O_RDWR | os.O_NONBLOCK))
+
+    def fileno(self) -> int:
+        """Descriptor that is ready when bytes have come."""
+        return self._ends[0]
+
+    def read(self, end: int = 0) -> bytes:
+        """Return the bytes that have come; of end 1: that the core has not read."""
+        with suppress(BlockingIOError):
+            return os.read(self._ends[end], 65536)
+        return b""
+
+    def write(self, data: bytes) -> None:
+        """Write what there is room for."""
+        with suppress(BlockingIOError):
+            os.write(self._ends[1], data)
+
+    def unread(self) -> int:
+        """Count the bytes that the core has not read yet."""
+        return int(array("i", fcntl.ioctl(self._ends[1], termios.FIONREAD, bytes(4)))[0])
+
+
+class Core:
+    """QEMU with a program, switched on and off; `folder`: of its pipes, and of the monitor's socket `qmp`."""
+
+    def __init__(self, program: Path, folder: Path, terminal: Terminal, seed: int) -> None:
+        self.program, self.folder, self.terminal, self._random = program, folder, terminal, random.Random(seed)
+        self.line, self.converters = Pipe(folder / "line"), Pipe(folder / "analogue")
+        self.loss, self._process, self._decoder = 0.0, None, Decoder()
+        self.told = False
+        """Whether the STATE of this sample has come."""
+
+    def switch(self, on: bool) -> None:
+        """Switch it on, with nothing on its lines from before, or off, in the middle of whatever it does."""
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+        self._process = None
+        if on:
+            for end in (0, 1, 0, 1):
+                self.line.read(end), self.converters.read(end)
+            kept = subprocess.run(["arm-none-eabi-nm", self.program], capture_output=True, text=True, check=True).stdout
+            place = next(line.split()[0] for line in kept.splitlines() if line.endswith(" kept"))
+            self._process = subprocess.Popen(
+                ["qemu-system-arm", "-M", "netduinoplus2", "-kernel", self.program, "-nographic", "-monitor", "none",
+                 "-serial", f"pipe:{self.line.path}", "-serial", f"pipe:{self.converters.path}",
+                 "-device", f"loader,addr=0x{place},data={secrets.randbits(32)},data-len=4",
+                 "-qmp", f"unix:{self.folder / 'qmp'},server=on,wait=off"],
+                stdout=subprocess.DEVNULL,
+            )  # fmt: skip
+
+    def carry(self, seconds: float) -> None:
+        """Carry what has come between its line and the port, once there are bytes, or so many seconds have passed."""
+        self.terminal.wait(seconds, self.line.fileno(), self.converters.fileno())
+        time.sleep(GATHERING)
+        up = self.line.read()
+        self.told = self.told or any(isinstance(frame, State) for frame in self._decoder.feed(up))
+        if self.terminal.opened:
+            self.terminal.write(self._worn(up))
+        self.line.write(self._worn(self.terminal.read()))
+
+    def _worn(self, data: bytes) -> bytes:
+        return bytes(byte for byte in data if self._random.random() >= self.loss) if self.loss else data
+
+
+def run(core: Core, converters: Converters, control: ControlPipe | None, period: float, stop: list[int]) -> None:
+    """Let the core's samples go, each `period` [s] or later, until stopped."""
+
+    def obey(order: str) -> None:
+        if order in ("on", "off"):
+            core.switch(order == "on")
+        elif order.startswith("loss "):
+            core.loss = float(order[5:])
+        else:
+            converters.obey(order)
+
+    went, owed = time.monotonic(), b""
+    while not stop:
+        left = went + period - time.monotonic()
+        if owed and core.line.unread():
+            left = GATHERING  # nothing tells that it has read
+        core.carry(min(left, MOMENT) if owed and left > 0.0 else MOMENT)
+        owed += converters.exchange(core.converters.read())
+        ready = converters.begins or (core.told and not core.line.unread())  # and not before it has read what was sent
+        if owed and ready and time.monotonic() - went >= period:
+            core.converters.write(owed)
+            went, owed, core.told = time.monotonic(), b"", False
+        if not owed:
+            converters.go_on()
+        obey_all(control, obey)
+
+
+@command(ValueError, OSError)
+def main() -> None:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("program", type=Path, help="box.elf")
+    parser.add_argument("--link", type=Path, required=True, metavar="PATH", help="where the port appears")
+    parser.add_argument("--pace", type=bounded_number(0.01, 1.0), default=1.0, metavar="X",
+                        help="at most so many times real time (default: 1; two cores reach a sixth)")  # fmt: skip
+    parser.add_argument("--truth", metavar="FILE", help="of the plant (default: the default profile)")
+    parser.add_argument("--bench", metavar="FILE", help="what the box believes (default: the nominal bench)")
+    parser.add_argument("--seed", type=int, default=0, help="of noise and lost bytes")
+    parser.add_argument("--control", type=Path, metavar="PATH", help="named pipe for orders: those of emulator "
+                        "--analogue, on, off, loss 0.01 (the chance that a byte of the line is lost)")  # fmt: skip
+    asked = parser.parse_args()
+    asked.link.parent.mkdir(parents=True, exist_ok=True)
+    converters = make_converters(asked.truth, asked.bench, asked.seed)
+    with (
+        termination.signals_noted() as stop,
+        closing(ControlPipe(asked.control or asked.link.with_suffix(".control"))) as control,
+    ):
+        core = Core(asked.program, asked.link.parent, Terminal(asked.link), asked.seed)
+        core.switch(on=True)
+        print(f"port {asked.link}, an emulated core: --plant bench --port {asked.link}", flush=True)
+        try:
+            run(core, converters, control, SAMPLE_PERIOD / asked.pace, stop)
+        finally:
+            core.switch(on=False)
+            core.terminal.unplug()
+    print(f"{converters.conversions} samples, {converters.alone} without the core", flush=True)
+
+
+if __name__ == "__main__":
+    main()
