@@ -3,7 +3,8 @@
 
 Its two ports are named pipes beside the link. The second one leads to the converters of `emulator --analogue`, and the
 first to the link, as a USB adapter does. QEMU hands over each byte by itself and is not in real time, so the end of a
-conversion begins a sample: once the STATE of the one before has come, and not faster than --pace.
+conversion begins a sample: once the STATE of the one before has come, a host that answers each sample has answered it,
+and not faster than --pace.
 """
 
 from __future__ import annotations
@@ -20,17 +21,20 @@ from array import array
 from contextlib import closing, suppress
 from pathlib import Path
 
-from hydro_bridge.serial.protocol import State
+from hydro_bridge.serial.protocol import State, encode_clock
 from hydro_bridge.serial.stream import Decoder
 from hydro_core.cli.console import bounded_number, command
 from hydro_core.process import termination
 from hydro_core.signals import SAMPLE_PERIOD
 from hydro_sim.emulator.analogue import Converters, make_converters, obey_all
+from hydro_sim.emulator.line.host import HostState
 from hydro_sim.emulator.line.terminal import Terminal
 from hydro_sim.emulator.realtime import ControlPipe
 
 MOMENT = 0.05  # s of wall clock
 GATHERING = 2e-4  # s for which bytes gather, which QEMU gives one by one
+ANSWER_TIME_MAX, ANSWER_TIME_MOST = 0.02, 90.0
+"""s of wall clock that an answer is awaited, on a line that loses some, and on one that loses none."""
 
 
 class Pipe:
@@ -69,9 +73,9 @@ class Core:
     def __init__(self, program: Path, folder: Path, terminal: Terminal, seed: int) -> None:
         self.program, self.folder, self.terminal, self._random = program, folder, terminal, random.Random(seed)
         self.line, self.converters = Pipe(folder / "line"), Pipe(folder / "analogue")
-        self.loss, self._process, self._decoder = 0.0, None, Decoder()
-        self.told = False
-        """Whether the STATE of this sample has come."""
+        self.loss, self.host, self._process, self._decoder, self._up = 0.0, HostState(), None, Decoder(), b""
+        self.told: int | None = None
+        """Time [us] of this sample; None: its STATE has not come."""
 
     def switch(self, on: bool) -> None:
         """Switch it on, with nothing on its lines from before, or off, in the middle of whatever it does."""
@@ -96,11 +100,24 @@ class Core:
         """Carry what has come between its line and the port, once there are bytes, or so many seconds have passed."""
         self.terminal.wait(seconds, self.line.fileno(), self.converters.fileno())
         time.sleep(GATHERING)
-        up = self.line.read()
-        self.told = self.told or any(isinstance(frame, State) for frame in self._decoder.feed(up))
-        if self.terminal.opened:
-            self.terminal.write(self._worn(up))
-        self.line.write(self._worn(self.terminal.read()))
+        up, down = self.line.read(), self._worn(self.terminal.read())
+        for frame in self._decoder.feed(up):
+            self.told = frame.time_us if isinstance(frame, State) else self.told
+        whole, _, self._up = (self._up + up).rpartition(b"\0")
+        if not self.terminal.opened:
+            self.host.reset()
+        elif whole:
+            clock = encode_clock(self.told, waits=True) if self.host.fresh and self.told is not None else b""
+            self.terminal.write(self._worn(clock + whole + b"\0"))
+        self.host.observe(down)
+        self.line.write(down)
+
+    def is_done(self, waited: float) -> bool:
+        """Whether the last sample has ended after so many s: it was told, the core has read all, a host answered."""
+        answers = self.host.lock_step and not self.host.fresh
+        done = self.told is not None and not self.line.unread()
+        done = done and (not answers or self.host.time_us == self.told)
+        return done or waited > (ANSWER_TIME_MAX if self.loss else ANSWER_TIME_MOST)
 
     def _worn(self, data: bytes) -> bytes:
         return bytes(byte for byte in data if self._random.random() >= self.loss) if self.loss else data
@@ -124,10 +141,10 @@ def run(core: Core, converters: Converters, control: ControlPipe | None, period:
             left = GATHERING  # nothing tells that it has read
         core.carry(min(left, MOMENT) if owed and left > 0.0 else MOMENT)
         owed += converters.exchange(core.converters.read())
-        ready = converters.begins or (core.told and not core.line.unread())  # and not before it has read what was sent
-        if owed and ready and time.monotonic() - went >= period:
+        waited = time.monotonic() - went
+        if owed and waited >= period and (converters.begins or core.is_done(waited)):
             core.converters.write(owed)
-            went, owed, core.told = time.monotonic(), b"", False
+            went, owed, core.told = time.monotonic(), b"", None
         if not owed:
             converters.go_on()
         obey_all(control, obey)
