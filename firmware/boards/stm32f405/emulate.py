@@ -13,6 +13,7 @@ import argparse
 import fcntl
 import os
 import random
+import re
 import secrets
 import subprocess
 import termios
@@ -33,8 +34,7 @@ from hydro_sim.emulator.realtime import ControlPipe
 
 MOMENT = 0.05  # s of wall clock
 GATHERING = 2e-4  # s for which bytes gather, which QEMU gives one by one
-ANSWER_TIME_MAX, ANSWER_TIME_MOST = 0.02, 90.0
-"""s of wall clock that an answer is awaited, on a line that loses some, and on one that loses none."""
+ANSWER_TIME_MAX = 0.02  # s of wall clock that an answer is awaited on a line that loses bytes
 
 
 class Pipe:
@@ -84,7 +84,7 @@ class Core:
             self._process.wait()
         self._process = None
         if on:
-            for end in (0, 1, 0, 1):
+            for end in (0, 1):
                 self.line.read(end), self.converters.read(end)
             kept = subprocess.run(["arm-none-eabi-nm", self.program], capture_output=True, text=True, check=True).stdout
             place = next(line.split()[0] for line in kept.splitlines() if line.endswith(" kept"))
@@ -114,10 +114,9 @@ class Core:
 
     def is_done(self, waited: float) -> bool:
         """Whether the last sample has ended after so many s: it was told, the core has read all, a host answered."""
-        answers = self.host.lock_step and not self.host.fresh
-        done = self.told is not None and not self.line.unread()
-        done = done and (not answers or self.host.time_us == self.told)
-        return done or waited > (ANSWER_TIME_MAX if self.loss else ANSWER_TIME_MOST)
+        answered = self.host.fresh or not self.host.lock_step or self.host.time_us == self.told
+        done = self.told is not None and answered and not self.line.unread()
+        return done or (self.loss > 0.0 and waited > ANSWER_TIME_MAX)
 
     def _worn(self, data: bytes) -> bytes:
         return bytes(byte for byte in data if self._random.random() >= self.loss) if self.loss else data
@@ -125,16 +124,18 @@ class Core:
 
 def run(core: Core, converters: Converters, control: ControlPipe | None, period: float, stop: list[int]) -> None:
     """Let the core's samples go, each `period` [s] or later, until stopped."""
+    went, owed = time.monotonic(), b""
 
     def obey(order: str) -> None:
+        nonlocal owed
         if order in ("on", "off"):
             core.switch(order == "on")
-        elif order.startswith("loss "):
-            core.loss = float(order[5:])
+            owed = b""
+        elif found := re.fullmatch(r"loss (0?\.\d+|[01])", order):
+            core.loss = float(found[1])
         else:
             converters.obey(order)
 
-    went, owed = time.monotonic(), b""
     while not stop:
         left = went + period - time.monotonic()
         if owed and core.line.unread():
@@ -166,10 +167,8 @@ def main() -> None:
     asked = parser.parse_args()
     asked.link.parent.mkdir(parents=True, exist_ok=True)
     converters = make_converters(asked.truth, asked.bench, asked.seed)
-    with (
-        termination.signals_noted() as stop,
-        closing(ControlPipe(asked.control or asked.link.with_suffix(".control"))) as control,
-    ):
+    orders = asked.control or asked.link.with_suffix(".control")
+    with termination.signals_noted() as stop, closing(ControlPipe(orders)) as control:
         core = Core(asked.program, asked.link.parent, Terminal(asked.link), asked.seed)
         core.switch(on=True)
         print(f"port {asked.link}, an emulated core: --plant bench --port {asked.link}", flush=True)
