@@ -50,7 +50,7 @@ class Core:
 
     def __init__(self, program: Path, folder: Path) -> None:
         self.program, self.folder, self.port = program, folder, folder / "port"
-        words = [sys.executable, BOARD / "emulate.py", program, "--link", self.port]
+        words = [sys.executable, BOARD / "emulate.py", program, "--link", self.port, "--pace", str(1.0 / SLOWNESS)]
         self._process = subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
         assert self._process.stdout is not None
         assert "port" in self._process.stdout.readline()
