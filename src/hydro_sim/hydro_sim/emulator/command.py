@@ -96,6 +96,7 @@ def _convert(options: argparse.Namespace) -> None:
     with termination.signals_noted() as stop, ExitStack() as stack:
         control = stack.enter_context(closing(ControlPipe(options.control))) if options.control else None
         port = stack.enter_context(closing(Port(PortSettings(path=options.analogue))))
+        port.open()
         print(f"converters on {options.analogue}, {request_realtime()}", flush=True)
         serve(converters, port, control, options.seconds, lambda: bool(stop))
     print(f"{converters.conversions} samples, {converters.alone} without the core", flush=True)
