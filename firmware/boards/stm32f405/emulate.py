@@ -73,22 +73,22 @@ class Core:
     def __init__(self, program: Path, folder: Path, terminal: Terminal, seed: int) -> None:
         self.program, self.folder, self.terminal, self._random = program, folder, terminal, random.Random(seed)
         self.line, self.converters = Pipe(folder / "line"), Pipe(folder / "analogue")
-        self.loss, self.host, self._process, self._decoder, self._up = 0.0, HostState(), None, Decoder(), b""
+        self.loss, self.host, self.process, self._decoder, self._up = 0.0, HostState(), None, Decoder(), b""
         self.told: int | None = None
         """Time [us] of this sample; None: its STATE has not come."""
 
     def switch(self, on: bool) -> None:
         """Switch it on, with nothing on its lines from before, or off, in the middle of whatever it does."""
-        if self._process is not None:
-            self._process.kill()
-            self._process.wait()
-        self._process = None
+        if self.process is not None:
+            self.process.kill()
+            self.process.wait()
+        self.process = None
         if on:
             for end in (0, 1):
                 self.line.read(end), self.converters.read(end)
-            kept = subprocess.run(["arm-none-eabi-nm", self.program], capture_output=True, text=True, check=True).stdout
+            kept = subprocess.check_output(["arm-none-eabi-nm", self.program], text=True)
             place = next(line.split()[0] for line in kept.splitlines() if line.endswith(" kept"))
-            self._process = subprocess.Popen(
+            self.process = subprocess.Popen(
                 ["qemu-system-arm", "-M", "netduinoplus2", "-kernel", self.program, "-nographic", "-monitor", "none",
                  "-serial", f"pipe:{self.line.path}", "-serial", f"pipe:{self.converters.path}",
                  "-device", f"loader,addr=0x{place},data={secrets.randbits(32)},data-len=4",
@@ -136,7 +136,7 @@ def run(core: Core, converters: Converters, control: ControlPipe | None, period:
         else:
             converters.obey(order)
 
-    while not stop:
+    while not stop and (core.process is None or core.process.poll() is None):
         left = went + period - time.monotonic()
         if owed and core.line.unread():
             left = GATHERING  # nothing tells that it has read
@@ -151,7 +151,7 @@ def run(core: Core, converters: Converters, control: ControlPipe | None, period:
         obey_all(control, obey)
 
 
-@command(ValueError, OSError)
+@command(ValueError, OSError, subprocess.CalledProcessError)
 def main() -> None:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
