@@ -21,6 +21,7 @@ import rclpy
 
 from hydro_bridge.bags.recording import read_bag
 from hydro_bridge.ros.companion import CompanionError, executable_path
+from hydro_bridge.ros.node import leave_graph
 from hydro_bridge.ros.topics import BOX, CLAIM_SERVICE, STATE, create_publisher
 from hydro_bridge.safety.readiness import NotReadyError
 from hydro_core.signals import Flag
@@ -131,8 +132,8 @@ def nodes():
     rclpy.init()
     made = rclpy.create_node("plant"), GraphNode("newcomer", realtime=False)
     yield made
-    for node in reversed(made):  # or they go on publishing as far as the graph knows
-        node.destroy_node()
+    for node in reversed(made):  # or they go on in this domain, which another worker's test may take next
+        leave_graph(node)
     rclpy.try_shutdown()
 
 
