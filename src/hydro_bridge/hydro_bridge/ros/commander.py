@@ -97,9 +97,10 @@ class Commander:
         return bool(self._claim)
 
     def renew_lease(self, now: float) -> None:
-        """Take or renew the lease; call several times a second, `now` by the monotonic clock [s]."""
-        waiting = self._answer is not None and not self._answer.done() and now < self._asked + 3.0  # it may have ended
-        if waiting or now < self._asked + 0.5 or not self._claims.service_is_ready():
+        """Take or renew the lease; call several times a second, `now` by the monotonic clock or the plant's own [s]."""
+        since = now - self._asked  # negative once the plant's clock has taken over
+        waiting = self._answer is not None and not self._answer.done() and 0.0 <= since < 3.0  # it may have ended
+        if waiting or 0.0 <= since < 0.5 or not self._claims.service_is_ready():
             return
         self._asked, self._known = now, self.epoch
         self._answer = self._ask(Claim.Request.TAKE, callback=self._on_taken)
