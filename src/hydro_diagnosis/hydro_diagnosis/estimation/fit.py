@@ -338,13 +338,19 @@ def rank_pairs(problem: Problem, found: Fit, candidates: Sequence[Candidate]) ->
     Two may explain together what neither does alone, a valve's null and its gain say.
     """
     weight, basis, left = _unexplained(problem, found)
-    claims = [one.claim for one in candidates if one.gain > 0.0]
-    directions = np.empty((len(claims), len(left)), np.float32)
-    for k, claim in enumerate(claims):
+    claims, lengths, units = list[EffectHypothesis](), list[float](), list[FloatArray]()
+    for claim in (one.claim for one in candidates if one.gain > 0.0):
         direction = (problem.residual((*found.claims, claim)) - found.residual) * weight
-        directions[k] = direction - basis @ (basis.T @ direction)
-    lengths = np.maximum(np.linalg.norm(directions, axis=1), MIN_COLUMN_LENGTH)
-    cosine, force = directions @ directions.T / np.outer(lengths, lengths), -(directions @ left) / lengths
+        direction -= basis @ (basis.T @ direction)
+        length = float(np.linalg.norm(direction))
+        if MIN_COLUMN_LENGTH < length < np.inf:  # else it shows nothing here, or its response runs away
+            claims.append(claim)
+            lengths.append(length)
+            units.append((direction / length).astype(np.float32))
+    if len(claims) < 2:
+        return []
+    directions = np.array(units)
+    cosine, force = directions @ directions.T, -(directions @ left)
     ranked = []
     for one, other in combinations(range(len(claims)), 2):
         apart = 1.0 - cosine[one, other] ** 2
