@@ -198,7 +198,8 @@ def test_a_disk_that_takes_no_checkpoint_ends_the_training_with_the_one_before(t
     assert "Traceback" not in process.text and 'File "' not in process.text
     second = training.checkpoint()
     assert second.produced >= before > first.produced
-    assert second.trainer["progress"]["history"][: first.trainer["episode"]] == first.trainer["progress"]["history"]
+    earlier, later = (each.trainer["progress"] for each in (first, second))
+    assert later["history"][: earlier["episode"]] == earlier["history"]
 
 
 def test_a_learner_that_is_killed_ends_the_training_disarmed_from_whose_checkpoint_it_goes_on(

@@ -195,8 +195,8 @@ class TrainingPlan(Plan):
         """Return the plan's state for a checkpoint (progress, random state of the exploration), as JSON types."""
         progress = self.progress
         progress.total_steps = self.explorer.total_steps
-        summary = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
-        return {**summary, "progress": asdict(progress), "random_state": self.explorer.rng.bit_generator.state}
+        notes = {"episode": progress.episode, "total_steps": progress.total_steps, "last_rmse": progress.last_rmse}
+        return {"notes": notes, "progress": asdict(progress), "random_state": self.explorer.rng.bit_generator.state}
 
     # ---------------------------------------------------------------------------------------------------- results
 

@@ -64,10 +64,10 @@ def test_a_learner_learns_and_leaves_a_checkpoint_from_which_the_next_goes_on(ru
         wait(lambda: learner.ready and learner.status.updates == 500)  # one update per step after the warm-up
         assert learner.new_weights() is not None
         assert learner.new_weights() is None, "the same weights are not news"
-        learner.stop({"episode": 5})
+        learner.stop({"notes": {"episode": 5}})
         assert not learner.alive
     checkpoint = load_checkpoint(run.latest)
-    assert checkpoint.produced == 600 and checkpoint.trainer == {"episode": 5}
+    assert checkpoint.produced == 600 and checkpoint.trainer == {"notes": {"episode": 5}}
     sac = Agent(*SIZES, SETTINGS.sac)
     sac.restore(checkpoint.learner)
     assert sac.updates == 500

@@ -11,26 +11,40 @@ from pathlib import Path
 import numpy as np
 import yaml
 
+from hydro_policy.learner_process.learner import write_run
 from hydro_policy.pretraining.run import load_simulation_setup
 from hydro_policy.pretraining.training import Pretraining, PretrainSettings
-from hydro_policy.runs.run_directory import load_checkpoint, save_checkpoint
+from hydro_policy.runs.initial_agent import load_initial_agent
+from hydro_policy.runs.run_directory import RunDirectory
+from hydro_policy.sac.agent import Agent, ReplayBuffer
 from hydro_policy.sac.policy import load_policy
+from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE
 from hydro_sim.files.learned_bench import load_model
 from hydro_sim.model.bench import Bench
 from tests.checks import ran
 
 
 def test_an_interrupted_run_ends_with_the_same_weights(pretraining: PretrainSettings, tmp_path: Path) -> None:
-    whole, begun, resumed = (Pretraining(pretraining, load_model(), Bench.nominal()) for _ in range(3))
+    runs = [RunDirectory(tmp_path / name).create() for name in ("whole", "resumed")]
+    for run in runs:
+        agent = Agent(OBSERVATION_SIZE, ACTION_SIZE, pretraining.training.sac).dump()
+        write_run(run, pretraining.training, agent, ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, 1), {})
+    begun = Pretraining(pretraining, load_model(), Bench.nominal(), runs[1])
     begun.run_round()
-    save_checkpoint(tmp_path / "latest", begun.sac.dump(), begun.replay, begun.state())
-    resumed.restore(load_checkpoint(tmp_path / "latest"), begun.best)
+    begun.save({})
+    whole, resumed = (Pretraining(pretraining, load_model(), Bench.nominal(), run) for run in runs)
     assert resumed.episode == 2
     for each in (whole, resumed):
         while not each.finished:
             each.run_round()
-    np.testing.assert_array_equal(resumed.sac.actor_parameters(), whole.sac.actor_parameters())
-    assert resumed.history == whole.history and resumed.best == whole.best
+        each.save({})
+    assert resumed.history == whole.history
+    for name in (
+        "policy.safetensors",
+        "checkpoints/latest/learner.safetensors",
+        "checkpoints/best/learner.safetensors",
+    ):
+        assert (runs[0].path / name).read_bytes() == (runs[1].path / name).read_bytes(), name
 
 
 pretrain = partial(ran, sys.executable, "-m", "hydro_policy.pretraining.pretrain")
@@ -58,12 +72,13 @@ def test_command_trains_on_a_bench_with_hidden_states_and_writes_agent_policy_an
     policy, gains, notes = load_policy(run / "policy.safetensors")
     assert gains.delta_kp_max == 285.0 and np.isfinite(policy.act(np.zeros(13))).all()
     assert str(notes["command"]).endswith(f"--json {table}")
-    assert (run / "learner.safetensors").exists() and (run / "curve.png").stat().st_size > 10_000
+    assert (run / "learning.png").stat().st_size > 10_000
+    assert load_initial_agent(run).reward["error_rate_weight"] == 20.0, "the best agent, on the reward of `wide`"
     assert [row["episode"] for row in json.loads(table.read_text())["rows"]] == ["fixed (90, 15)", "2"]
     again = pretrain("--out", run)
     assert again.returncode == 2 and "holds a run already" in again.stderr
-    for word, other in (("--model", "analytic"), ("--steps", "61"), ("--configuration", "paper"), ("--seed", "1")):
-        refused = pretrain("--resume", run, word, other)
-        assert refused.returncode == 2 and f"{word} {other} is not the run's" in refused.stderr
-    done = pretrain("--resume", run, "--configuration", "wide", *words)
+    refused = pretrain("--resume", run, "--steps", "61")
+    assert refused.returncode == 2 and "omit --steps, or begin another run" in refused.stderr
+    done = pretrain("--resume", run, "--episodes", "4", "--json", table)
     assert done.returncode == 0, done.stderr
+    assert [row["episode"] for row in json.loads(table.read_text())["rows"]] == ["fixed (90, 15)", "2", "4"]

@@ -69,8 +69,10 @@ def test_learning_curves_are_those_of_the_nominal_bench(pretraining: PretrainSet
     for each in (here, there):
         while not each.finished:
             each.run_round()
-    assert here.sac.updates > 100
-    np.testing.assert_allclose(there.sac.actor_parameters(), here.sac.actor_parameters(), rtol=0.0, atol=1e-6)
+    assert here.learner.sac.updates > 100
+    np.testing.assert_allclose(
+        there.learner.sac.actor_parameters(), here.learner.sac.actor_parameters(), rtol=0.0, atol=1e-6
+    )
     for one, other in zip(here.history, there.history, strict=True):
         for name, scale in (("return", 1.0), ("score", 1.0), ("changed", 1.0), ("rmse", FORCE)):
             assert np.array(other[name]) / scale == pytest.approx(one[name], rel=1e-9), name

@@ -20,7 +20,7 @@ import signal
 import sys
 from collections import deque
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any
 
@@ -61,7 +61,7 @@ class LearnerFault:
 
 
 class Learner:
-    """Learning loop: updates, candidate, rollback, checkpoints; independent of the process.
+    """Learning loop of bench and simulation: updates, candidate, rollback, checkpoints; in any process.
 
     `start`: agent to begin with, as returned by `Agent.dump`; None: the checkpoint in `run`.
     """
@@ -71,10 +71,12 @@ class Learner:
 
         self.settings, self._run, self.sac = settings, run, Sac(OBSERVATION_SIZE, ACTION_SIZE, settings.sac)
         self.replay = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, settings.replay_capacity)
+        self.acting_state: dict[str, Any] = {}
+        """What the checkpoint holds of who acts; empty at the start."""
         if start is None:
             found = load_checkpoint(run.latest)
             self.replay.restore(found.replay, found.produced)
-            start = found.learner
+            start, self.acting_state = found.learner, found.trainer
         self.sac.restore(start)
         self._recent = deque([(self.sac.updates, self.sac.state.copy())], RECENT_STATES)
         self._candidate = self._good = self._recent[0][1]
@@ -88,12 +90,12 @@ class Learner:
         """Number of updates that are due for the transitions so far, and not done yet."""
         return self.settings.updates_due(self.replay.total_appended) - self.sac.updates
 
-    def work(self) -> bool:
-        """Perform up to `CHUNK_UPDATES` pending updates; returns whether there were any.
+    def work(self, most: int = CHUNK_UPDATES) -> bool:
+        """Perform up to `most` pending updates; returns whether there were any.
 
         Raises FloatingPointError: the networks hold NaN or infinity.
         """
-        count = min(self.pending_updates, CHUNK_UPDATES)
+        count = min(self.pending_updates, most)
         if count <= 0:
             return False
         self.sac.learn(self.replay, count)
@@ -160,6 +162,7 @@ def write_run(
 ) -> None:
     """Write a checkpoint; policy.safetensors is the best policy so far or, before there is one, the latest.
 
+    `trainer`: state of who acts, as JSON types; its `notes` go into the policy's file.
     A deleted run folder is created again; its best policy is lost until a better one is found.
 
     Raises OSError: writing fails; the previous checkpoint is unchanged.
@@ -174,7 +177,7 @@ def write_run(
         return
     policy = Policy(settings.sac, settings.task.size)
     policy.load_flat(actor_parameters(best or learner))
-    notes = {key: trainer.get(key) for key in ("episode", "total_steps", "last_rmse")}
+    notes = {"task": asdict(settings.task), **trainer.get("notes", {})}
     policy.save(run.policy, settings.task.gains, notes, settings.made)
 
 

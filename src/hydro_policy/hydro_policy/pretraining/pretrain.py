@@ -29,7 +29,7 @@ def parser() -> argparse.ArgumentParser:
         "--resume",
         type=Path,
         metavar="RUN",
-        help="go on with a run as it was begun, after Ctrl-C or with more --episodes",
+        help="go on with a run as it was begun, after Ctrl-C, or with more --episodes",
     )
     what = result.add_argument_group("what is simulated")
     what.add_argument(
@@ -66,7 +66,7 @@ def parser() -> argparse.ArgumentParser:
     return result
 
 
-@command(ValueError, FileExistsError)
+@command(ValueError, FileExistsError, FloatingPointError)
 def main() -> int:
     """Entry point."""
     options = parser().parse_args()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pretraining: Soft Actor-Critic on vectorised simulated benches, deterministic by seed, resumable between rounds.
+"""Pretraining: the learner of the bench (`learner_process.learner`) on vectorised simulated benches, in one process.
 
 ::
 
@@ -15,8 +15,9 @@ resumed run ends with the same weights as an uninterrupted one.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
@@ -27,10 +28,10 @@ from hydro_policy.envs import FilterName, vector_runs
 from hydro_policy.envs.environment import Environment, Episodes, Transitions
 from hydro_policy.envs.vector_env import VectorBench, vector_filter
 from hydro_policy.envs.vector_runs import VectorController
-from hydro_policy.runs.run_directory import Checkpoint, TrainingSettings
-from hydro_policy.sac.agent import ReplayBuffer
+from hydro_policy.learner_process.learner import Learner
+from hydro_policy.runs.run_directory import RunDirectory, TrainingSettings
+from hydro_policy.sac.agent import Agent
 from hydro_policy.sac.policy import Policy
-from hydro_policy.sac.sac import Sac
 from hydro_policy.task.cases import EvaluationSettings
 from hydro_policy.task.mdp import ACTION_SIZE, OBSERVATION_SIZE, events
 from hydro_policy.task.mdp.events import Randomisation, RandomisedBench
@@ -67,27 +68,32 @@ class PretrainSettings:
 
 
 class Pretraining:
-    """Pretraining of a policy on vectorised simulated benches: learner, replay buffer and results.
+    """Pretraining of a policy on vectorised simulated benches: learner and results.
 
-    `settings`: see `PretrainSettings`. `source`: simulated bench. `box_bench`: bench assumed by the box.
+    `settings`: see `PretrainSettings`. `source`: simulated bench. `box_bench`: bench assumed by the box. `run`: its
+    folder, begun by `write_run`, from whose latest checkpoint it goes on; None: in memory.
     """
 
-    def __init__(self, settings: PretrainSettings, source: Bench, box_bench: Bench) -> None:
+    def __init__(
+        self, settings: PretrainSettings, source: Bench, box_bench: Bench, run: RunDirectory | None = None
+    ) -> None:
         self.settings, self._box_bench = settings, box_bench
         self._episodes = Episodes(source=source, box_bench=box_bench, randomisation=settings.randomisation)
         training = settings.training
         self.vector_bench = self._make_vector_bench(settings.benches)
         self.environment = Environment(self.vector_bench, training.task)
-        self.sac = Sac(OBSERVATION_SIZE, ACTION_SIZE, training.sac)
-        self.replay = ReplayBuffer(OBSERVATION_SIZE, ACTION_SIZE, training.replay_capacity)
+        start = None if run else Agent(OBSERVATION_SIZE, ACTION_SIZE, training.sac).dump()
+        self.learner = Learner(training, run or RunDirectory(Path()), start)
         self.policy = Policy(training.sac, training.task.size)
+        self.policy.load_flat(self.learner.sac.actor_parameters())
         self.rng = np.random.default_rng(training.seed)
         self.episode = 0  # episodes finished
         self.history: list[dict[str, Any]] = []
         """One entry per round: episode, mean return, trips, RMSE at each frequency, scores."""
         self.best_score = math.inf
-        self.best: bytes | None = None  # agent (`Agent.dump`) with the best score so far; not part of `state`
-        self.policy.load_flat(self.sac.actor_parameters())
+        if state := self.learner.acting_state:
+            self.episode, self.history, self.best_score = state["episode"], state["history"], state["best_score"]
+            self.rng.bit_generator.state = state["random_state"]
         self._examined: list[RandomisedBench | None] = [None]  # the known bench, then drawn ones
         fixed = vector_runs.fixed_gains(np.array(REFERENCE_GAINS), (settings.box.base_kp, settings.box.base_ki))
         known = self.rmse(fixed, self._examined)
@@ -104,7 +110,7 @@ class Pretraining:
 
     def run_round(self, each_step: Callable[[Transitions], object] = lambda transitions: None) -> dict[str, Any]:
         """Run one episode on every bench; returns the new entry of `history`."""
-        training = self.settings.training
+        training, learner = self.settings.training, self.learner
         count = min(len(self.vector_bench), training.episodes - self.episode)
         numbers = range(self.episode, self.episode + len(self.vector_bench))
         references = [
@@ -115,53 +121,44 @@ class Pretraining:
         ]
         seeds = [events.stream_seed(training.seed, number, events.NOISE_STREAM) for number in numbers]
         observation = self.environment.reset(references, seeds)
-        returns, trips = np.zeros(len(self.vector_bench)), 0
+        returns, squares, trips = np.zeros(len(self.vector_bench)), 0.0, 0
         for _ in range(training.task.steps_per_episode):
             transitions = self.environment.step(self.policy.act(observation, self.rng))
             observation = self.environment.observation
-            self.replay.extend(transitions.rows(count))
-            due = training.updates_due(self.replay.total_appended) - self.sac.updates
-            if due > 0:
-                self.sac.learn(self.replay, due)
-                self.policy.load_flat(self.sac.actor_parameters())
+            learner.replay.extend(transitions.rows(count))
+            if learner.work(learner.pending_updates):
+                self.policy.load_flat(learner.sac.actor_parameters())
             returns += transitions.reward
+            error = transitions.samples["reference_force"][:count] - transitions.samples["load_force"][:count]
+            squares += float(np.mean(error * error)) / training.task.steps_per_episode
             trips += int(transitions.terminated[:count].sum())
             each_step(transitions)
         self.episode += count
-        self.examine(float(returns[:count].mean()), trips)
+        self.examine(float(returns[:count].mean()), math.sqrt(squares), trips)
         return self.history[-1]
 
-    def state(self) -> dict[str, Any]:
-        """Return the checkpoint's content besides learner and replay buffer, as JSON types."""
-        return {
-            "episode": self.episode, "history": self.history, "best_score": self.best_score,
-            "random_state": self.rng.bit_generator.state,
-        }  # fmt: skip
+    def save(self, notes: Mapping[str, object]) -> None:
+        """Write a checkpoint, from which `Pretraining` goes on; `notes` go into the policy's file."""
+        state = {"episode": self.episode, "history": self.history, "best_score": self.best_score, "notes": notes}
+        self.learner.handle("save", {**state, "random_state": self.rng.bit_generator.state})
 
-    def restore(self, checkpoint: Checkpoint, best: bytes | None) -> None:
-        """Resume from a checkpoint of `state`, the agent and the replay buffer; `best` is the best agent until then."""
-        self.sac.restore(checkpoint.learner)
-        self.replay.restore(checkpoint.replay, checkpoint.produced)
-        state = checkpoint.trainer
-        self.episode, self.history, self.best_score = state["episode"], state["history"], state["best_score"]
-        self.best, self.rng.bit_generator.state = best, state["random_state"]
-        self.policy.load_flat(self.sac.actor_parameters())
-
-    def examine(self, mean_return: float = math.nan, trips: int = 0) -> None:
+    def examine(self, mean_return: float = math.nan, force_rmse: float = math.nan, trips: int = 0) -> None:
         """Evaluate the policy's mean action; adds an entry to `history`, and updates the best agent."""
         rmse = self.rmse(
             vector_runs.VectorPolicyController(self.policy, self.settings.training.task.gains), self._examined
         )
         ratio = np.where(np.isnan(rmse), TRIPPED_SCORE, rmse / self._reference)
-        score = float(ratio.mean())
-        if score < self.best_score:
-            self.best_score, self.best = score, self.sac.dump()
+        score, sac = float(ratio.mean()), self.learner.sac
+        if best := score < self.best_score:
+            self.best_score = score
+            self.learner.handle("propose", sac.updates)
+            self.learner.handle("accept", True)
         self.history.append(
             {
-                "episode": self.episode, "return": mean_return, "trips": trips, "score": score,
-                "changed": float(ratio[1:].mean()) if len(ratio) > 1 else None,  # over the drawn benches
-                "rmse": rmse[0].tolist(), "updates": self.sac.updates,
-                "entropy_coefficient": self.sac.entropy_coefficient,
+                "episode": self.episode, "return": mean_return, "force_rmse": force_rmse, "trips": trips,
+                "score": score, "changed": float(ratio[1:].mean()) if len(ratio) > 1 else None,  # on drawn benches
+                "rmse": rmse[0].tolist(), "beaten": int(np.sum(rmse[0] < self.reference_rmse)), "best": best,
+                "updates": sac.updates, "entropy_coefficient": sac.entropy_coefficient,
             }
         )  # fmt: skip
 

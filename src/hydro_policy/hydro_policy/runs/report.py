@@ -28,7 +28,8 @@ def sections(record: RunRecord, curve: Path) -> list[Section]:
     """Return the sections of a training's page; `curve` is the picture of `draw_curve`."""
     episodes, exams, stops = (record.events_of(kind) for kind in ("episode", "exam", "stop"))
     last = f"; the last one: {_number(episodes[-1].get('force_rmse'))} N RMSE while it explored" if episodes else ""
-    summary = f"{plural(len(episodes), 'episode')}, {plural(len(stops), 'rollback')}{last}."
+    count = episodes[-1]["episode"] if episodes else 0
+    summary = f"{plural(count, 'episode')}, {plural(len(stops), 'rollback')}{last}."
     if exams and episodes and not any(exam["best"] and exam["episode"] > 0 for exam in exams):
         summary += f" {NONE_BETTER_MESSAGE[0].upper()}{NONE_BETTER_MESSAGE[1:]}."
     found = [Section(heading="Learning curve", text=summary, picture=curve)]
