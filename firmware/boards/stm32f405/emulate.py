@@ -4,7 +4,7 @@
 Its two ports are named pipes beside the link. The second one leads to the converters of `emulator --analogue`, and the
 first to the link, as a USB adapter does. QEMU hands over each byte by itself and is not in real time, so the end of a
 conversion begins a sample: once the STATE of the one before has come, a host that answers each sample has answered it,
-and not faster than --pace.
+and not faster than --pace. The plant goes on alone only while the core is off: a busy machine makes all slower.
 """
 
 from __future__ import annotations
@@ -146,7 +146,7 @@ def run(core: Core, converters: Converters, control: ControlPipe | None, period:
         if owed and waited >= period and (converters.begins or core.is_done(waited)):
             core.converters.write(owed)
             went, owed, core.told = time.monotonic(), b"", None
-        if not owed:
+        if core.process is None:
             converters.go_on()
         obey_all(control, obey)
 
