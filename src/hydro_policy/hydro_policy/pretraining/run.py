@@ -177,7 +177,7 @@ def curve_table(pretraining: Pretraining) -> Table:
     }
     if pretraining.settings.randomisation is not None:
         columns["changed"] = "the score over the drawn benches alone"
-    fixed = {"return": math.nan, "trips": 0, "score": 1.0, "changed": 1.0, "updates": 0}
+    fixed: dict[str, Any] = {"return": math.nan, "trips": 0, "score": 1.0, "changed": 1.0, "updates": 0}
     fixed |= {"episode": "fixed ({:g}, {:g})".format(*REFERENCE_GAINS), "rmse": pretraining.reference_rmse.tolist()}
     table = Table(columns, title="pretraining")
     for entry in (fixed, *pretraining.history):
