@@ -62,7 +62,8 @@ def test_trainer_trains_records_and_says_where_everything_is(tmp_path: Path) -> 
     assert str(folder.path / "report.html") in done.stdout
     assert "--resume" in done.stdout and "episode 2/2" in done.stderr
     checkpoint = load_checkpoint(folder.latest)
-    assert checkpoint.trainer["episode"] == 2 and checkpoint.trainer["total_steps"] == 500
+    progress = checkpoint.trainer["progress"]
+    assert (progress["episode"], progress["total_steps"]) == (2, 500)
     episodes = [e for e in json.loads(folder.record.read_text())["events"] if e["kind"] == "episode"]
     better = min(episodes, key=lambda e: float(e["lag"]))["episode"]
     assert len(episodes) == 2 and load_policy(folder.policy)[2]["episode"] == better

@@ -53,6 +53,7 @@ def pretrain(options: argparse.Namespace) -> int:
         training=settings, benches=source.benches, randomisation=randomisation, filter=source.filter,
         box=source.box_config(), evaluation=EvaluationSettings(amplitude=settings.task.size.force),
     )  # fmt: skip
+    benches = source.simulated(), source.box_bench()  # before there is a folder: a file may be unreadable
     if sentence := compile_update(OBSERVATION_SIZE, ACTION_SIZE, settings.sac.hidden_size):
         print(sentence, file=sys.stderr)
     if not options.resume:
@@ -60,7 +61,7 @@ def pretrain(options: argparse.Namespace) -> int:
         write_run(run.create(), settings, Agent(OBSERVATION_SIZE, ACTION_SIZE, settings.sac).dump(), nothing, {})
         write_atomic(run.path / SETUP_FILE, yaml.safe_dump(asdict(source), sort_keys=False).encode())
     run.save_settings(settings)
-    pretraining = Pretraining(simulation, source.simulated(), source.box_bench(), run)
+    pretraining = Pretraining(simulation, *benches, run)
     began = time.monotonic()
     with termination.signals_noted() as noted:
         try:
